@@ -31,6 +31,8 @@ def local_rotations(skeleton: Skeleton, values: Float[Array, "... channels"]) ->
     result = factors[..., 0, :, :]
     for n in range(1, column.shape[1]):
         result = rotations.multiply(result, factors[..., n, :, :])
+    if not skeleton.has_axes:
+        return result
     axes = jnp.asarray(skeleton.axes, angles.dtype)
     return rotations.multiply(rotations.multiply(axes, result), rotations.transpose(axes))
 
@@ -75,8 +77,14 @@ _forward_jit = eqx.filter_jit(forward)
 
 
 def pose(motion: Motion) -> Pose:
-    """Pose of every frame of a motion, in file units."""
-    return _forward_jit(motion.skeleton, jnp.asarray(motion.values))
+    """Pose of every frame of a motion, in file units.
+
+    Frames are padded to a power of two, so that motions of a rig share few compiled programs.
+    """
+    frames = motion.frame_count
+    values = np.zeros((max(64, 1 << (frames - 1).bit_length()), motion.skeleton.channel_count))
+    values[:frames] = motion.values
+    return Pose(*(x[:frames] for x in _forward_jit(motion.skeleton, jnp.asarray(values))))
 
 
 def positions_cm(motion: Motion) -> Float[Array, "frames joints 3"]:

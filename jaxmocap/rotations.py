@@ -12,13 +12,30 @@ _AXIS = {"X": 0, "Y": 1, "Z": 2}
 
 
 def multiply(a: Float[Array, "... 3 3"], b: Float[Array, "... 3 3"]) -> Float[Array, "... 3 3"]:
-    """Matrix product of small matrices: a fused sum, several times faster on a CPU than a batched dot."""
-    return (a[..., :, :, None] * b[..., None, :, :]).sum(-2)
+    """Matrix product of small matrices.
+
+    Worked out with the components in front, so that each is one long loop: on a CPU over five times faster than a
+    batched dot, and the transposes of neighbouring calls cancel when compiled.
+    """
+    a, b = (_components_first(x, 2) for x in jnp.broadcast_arrays(a, b))
+    rows = [jnp.stack([a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j] for j in range(3)]) for i in range(3)]
+    return _components_last(jnp.stack(rows), 2)
 
 
 def apply(rotation: Float[Array, "... 3 3"], vector: Float[Array, "... 3"]) -> Float[Array, "... 3"]:
     """The rotated vector."""
-    return (rotation * vector[..., None, :]).sum(-1)
+    batch = jnp.broadcast_shapes(rotation.shape[:-2], vector.shape[:-1])
+    r = _components_first(jnp.broadcast_to(rotation, (*batch, 3, 3)), 2)
+    v = _components_first(jnp.broadcast_to(vector, (*batch, 3)), 1)
+    return _components_last(jnp.stack([r[i, 0] * v[0] + r[i, 1] * v[1] + r[i, 2] * v[2] for i in range(3)]), 1)
+
+
+def _components_first(x: Float[Array, "..."], count: int) -> Float[Array, "..."]:
+    return jnp.moveaxis(x, tuple(range(-count, 0)), tuple(range(count)))
+
+
+def _components_last(x: Float[Array, "..."], count: int) -> Float[Array, "..."]:
+    return jnp.moveaxis(x, tuple(range(count)), tuple(range(-count, 0)))
 
 
 def transpose(rotation: Float[Array, "... 3 3"]) -> Float[Array, "... 3 3"]:
@@ -35,9 +52,16 @@ def skew(v: Float[Array, "... 3"]) -> Float[Array, "... 3 3"]:
 
 def about_axis(axis: Float[Array, "... 3"], angle: Float[Array, "..."]) -> Float[Array, "... 3 3"]:
     """Rotation by `angle` radians about the unit vector `axis` (Rodrigues)."""
-    k = skew(axis)
-    s, c = jnp.sin(angle)[..., None, None], jnp.cos(angle)[..., None, None]
-    return jnp.eye(3, dtype=k.dtype) + s * k + (1.0 - c) * multiply(k, k)
+    a = _components_first(jnp.broadcast_to(axis, (*jnp.broadcast_shapes(axis.shape[:-1], angle.shape), 3)), 1)
+    s, c = jnp.sin(angle), jnp.cos(angle)
+    t = 1.0 - c
+    x, y, z = s * a[0], s * a[1], s * a[2]
+    rows = [
+        [c + t * a[0] * a[0], t * a[0] * a[1] - z, t * a[0] * a[2] + y],
+        [t * a[1] * a[0] + z, c + t * a[1] * a[1], t * a[1] * a[2] - x],
+        [t * a[2] * a[0] - y, t * a[2] * a[1] + x, c + t * a[2] * a[2]],
+    ]
+    return _components_last(jnp.stack([jnp.stack(row) for row in rows]), 2)
 
 
 def from_euler(angles: Float[Array, "... n"], order: str) -> Float[Array, "... 3 3"]:
@@ -63,20 +87,25 @@ def to_euler(rotation: Float[Array, "... 3 3"], order: str) -> Float[Array, "...
     sign = 1.0 if (j - i) % 3 == 1 else -1.0
     r = rotation
     if order[0] == order[2]:
-        s2 = jnp.hypot(r[..., i, j], r[..., i, k])
-        middle = _safe_atan2(s2, r[..., i, i])
-        locked = s2 < 1e-6 if r.dtype == jnp.float32 else s2 < 1e-12
+        across = _length(r[..., i, j], r[..., i, k])
+        middle = _safe_atan2(across, r[..., i, i])
         first = _safe_atan2(r[..., j, i], -sign * r[..., k, i])
-        last = _safe_atan2(r[..., i, j], sign * r[..., i, k])
-        first_locked = _safe_atan2(sign * r[..., k, j], r[..., j, j])
     else:
-        c2 = jnp.hypot(r[..., i, i], r[..., i, j])
-        middle = _safe_atan2(sign * r[..., i, k], c2)
-        locked = c2 < 1e-6 if r.dtype == jnp.float32 else c2 < 1e-12
+        across = _length(r[..., i, i], r[..., i, j])
+        middle = _safe_atan2(sign * r[..., i, k], across)
         first = _safe_atan2(-sign * r[..., j, k], r[..., k, k])
-        last = _safe_atan2(-sign * r[..., i, j], r[..., i, i])
-        first_locked = _safe_atan2(sign * r[..., k, j], r[..., j, j])
-    return jnp.stack([jnp.where(locked, first_locked, first), middle, jnp.where(locked, 0.0, last)], -1)
+    locked = across < (1e-6 if r.dtype == jnp.float32 else 1e-12)
+    first = jnp.where(locked, _safe_atan2(sign * r[..., k, j], r[..., j, j]), first)
+    # Near the lock `first` is mostly rounding; the last angle is read after undoing it, and so makes up for it.
+    row = jnp.cos(first)[..., None] * r[..., j, :] + sign * jnp.sin(first)[..., None] * r[..., k, :]
+    last = _safe_atan2(-sign * row[..., k] if order[0] == order[2] else sign * row[..., i], row[..., j])
+    return jnp.stack([first, middle, jnp.where(locked, 0.0, last)], -1)
+
+
+def _length(x: Float[Array, "..."], y: Float[Array, "..."]) -> Float[Array, "..."]:
+    """hypot whose gradient at (0, 0) is 0, not NaN."""
+    zero = (x == 0) & (y == 0)
+    return jnp.where(zero, 0.0, jnp.hypot(jnp.where(zero, 1.0, x), y))
 
 
 def _safe_atan2(y: Float[Array, "..."], x: Float[Array, "..."]) -> Float[Array, "..."]:
@@ -124,9 +153,10 @@ def from_rotation_vector(v: Float[Array, "... 3"]) -> Float[Array, "... 3 3"]:
     safe2 = jnp.where(small, 1.0, angle2)
     angle = jnp.sqrt(safe2)
     a = jnp.where(small, 1 - angle2 / 6, jnp.sin(angle) / angle)[..., None, None]
-    b = jnp.where(small, 0.5 - angle2 / 24, (1 - jnp.cos(angle)) / safe2)[..., None, None]
+    # 1 - cos loses all digits of a small angle, 2 sin^2 of its half none.
+    b = jnp.where(small, 0.5 - angle2 / 24, 2 * jnp.sin(angle / 2) ** 2 / safe2)[..., None, None]
     k = skew(v)
-    return jnp.eye(3, dtype=v.dtype) + a * k + b * multiply(k, k)
+    return _identity(k) + a * k + b * multiply(k, k)
 
 
 def to_rotation_vector(rotation: Float[Array, "... 3 3"]) -> Float[Array, "... 3"]:
@@ -166,13 +196,30 @@ def swing(a: Float[Array, "... 3"], b: Float[Array, "... 3"]) -> Float[Array, ".
     Opposite directions are half a turn apart about an axis across `a`.
     """
     a, b = normalise(a), normalise(b)
-    dot = (a * b).sum(-1)
+    dot = (a * b).sum(-1)[..., None, None]
+    # Up to a right angle directly; beyond it to -b, and from there to b by half a turn: nothing cancels on either way.
+    near = jnp.where(dot[..., 0] < 0, -b, b)
+    k = skew(jnp.cross(a, near))
+    turn = _identity(k) + k + multiply(k, k) / (1.0 + jnp.abs(dot))
+    turn = jnp.where(dot < 0, multiply(_half_turn(_axis_across(a, b)), turn), turn)
     undefined = (jnp.abs(a).sum(-1) == 0) | (jnp.abs(b).sum(-1) == 0)
-    opposite = dot < -0.999999
-    k = skew(jnp.cross(a, b))
-    safe = jnp.where(opposite | undefined, 1.0, 1.0 + dot)[..., None, None]
-    turn = jnp.eye(3, dtype=a.dtype) + k + multiply(k, k) / safe
-    across = normalise(jnp.cross(a, jnp.where(jnp.abs(a[..., :1]) < 0.6, jnp.eye(3)[0], jnp.eye(3)[1])))
-    half = 2 * across[..., :, None] * across[..., None, :] - jnp.eye(3, dtype=a.dtype)
-    turn = jnp.where(opposite[..., None, None], half, turn)
-    return jnp.where(undefined[..., None, None], jnp.eye(3, dtype=a.dtype), turn)
+    return jnp.where(undefined[..., None, None], _identity(turn), turn)
+
+
+def _axis_across(a: Float[Array, "... 3"], b: Float[Array, "... 3"]) -> Float[Array, "... 3"]:
+    """The unit vector along a x b; any one across `b` where the two are parallel."""
+    cross = jnp.cross(a, b)
+    parallel = (cross * cross).sum(-1, keepdims=True) < (8 * jnp.finfo(a.dtype).eps) ** 2
+    off_x = (jnp.abs(b[..., 0]) < 0.6).astype(b.dtype)
+    other = jnp.cross(b, jnp.stack([off_x, 1 - off_x, jnp.zeros_like(off_x)], -1))
+    axis = normalise(jnp.where(parallel, other, cross))
+    return normalise(axis - (axis * b).sum(-1, keepdims=True) * b)
+
+
+def _half_turn(axis: Float[Array, "... 3"]) -> Float[Array, "... 3 3"]:
+    outer = axis[..., :, None] * axis[..., None, :]
+    return 2 * outer - _identity(outer)
+
+
+def _identity(like: Float[Array, "... 3 3"]) -> Float[Array, "... 3 3"]:
+    return jnp.broadcast_to(jnp.eye(3, dtype=like.dtype), like.shape)

@@ -18,7 +18,8 @@ class Skeleton(eqx.Module):
     `parents[j] < j`, and -1 marks a root. `offsets[j]` leads from the parent of `j` to `j` in the parent's frame, in file
     units. `channels[j]` names what moves joint `j`, in the order of its columns; rotations multiply left to right, as
     in BVH, and a position channel replaces that component of the offset. `axes[j]` is the constant frame C in which the
-    rotation channels of `j` are given, so that its local rotation is C R C^T (identity in BVH, `axis` in ASF).
+    rotation channels of `j` are given, so that its local rotation is C R C^T (`axis` in ASF, the identity in
+    BVH; `has_axes` says whether any is another).
     End site `e` sits on joint `end_joints[e]` at `end_offsets[e]`.
     """
 
@@ -29,6 +30,7 @@ class Skeleton(eqx.Module):
     offsets: Float[np.ndarray, "joints 3"]
     end_offsets: Float[np.ndarray, "ends 3"]
     axes: Float[np.ndarray, "joints 3 3"]
+    has_axes: bool = eqx.field(static=True)
 
     def __init__(
         self,
@@ -48,7 +50,9 @@ class Skeleton(eqx.Module):
         joints = len(self.names)
         self.offsets = np.asarray(offsets, np.float64).reshape(-1, 3)
         self.end_offsets = np.zeros((0, 3)) if end_offsets is None else np.asarray(end_offsets, np.float64).reshape(-1, 3)
-        self.axes = np.tile(np.eye(3), (joints, 1, 1)) if axes is None else np.asarray(axes, np.float64)
+        plain = np.tile(np.eye(3), (joints, 1, 1))
+        self.axes = plain if axes is None else np.asarray(axes, np.float64).reshape(-1, 3, 3)
+        self.has_axes = not np.array_equal(self.axes, plain)
         lengths = {len(self.parents), len(self.channels), len(self.offsets), len(self.axes)}
         if joints == 0 or lengths != {joints}:
             raise ValueError(f"names, parents, channels, offsets and axes must agree in length, got {joints} and {lengths}")
@@ -101,9 +105,9 @@ class Skeleton(eqx.Module):
 
     def same_rig(self, other: Skeleton) -> bool:
         """True when names, tree, channels and end sites agree: the same rig, whatever the person's bone lengths."""
-        return (self.names, self.parents, self.channels, self.end_joints) == (
-            other.names, other.parents, other.channels, other.end_joints
-        ) and bool(np.array_equal(self.axes, other.axes))
+        mine = (self.names, self.parents, self.channels, self.end_joints)
+        theirs = (other.names, other.parents, other.channels, other.end_joints)
+        return mine == theirs and bool(np.array_equal(self.axes, other.axes))
 
     def height(self) -> float:
         """The tallest extent of the rest pose along one axis, in file units: how large the figure is."""

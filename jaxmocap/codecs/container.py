@@ -1,0 +1,162 @@
+"""The `.jmc` stream: a header, a skeleton, an optional model, and chunks that decode one by one (docs/format.md).
+
+The header is as short as it can be, since short clips are the common case: a stream of one chunk spends 20 bytes on
+all that is neither skeleton nor coded motion. Every chunk's CRC-32 runs over the header, too, so that no byte of the
+file is unprotected.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from dataclasses import dataclass
+
+from ..errors import CorruptStream, JaxmocapError, UnsupportedVersion
+from .bitstream import ByteReader, varint
+
+MAGIC = b"JMC"
+VERSION = 1
+SUFFIX = ".jmc"
+DIGEST_BYTES = 4
+
+_UNIT_OF_MODEL, _UNIT_UNKNOWN, _UNIT_STATED = 0, 1, 2
+_FRAME_TIME_STATED, _MODEL_EMBEDDED, _MANY_CHUNKS = 4, 8, 16
+_KNOWN_FLAGS = 3 | _FRAME_TIME_STATED | _MODEL_EMBEDDED | _MANY_CHUNKS
+
+
+@dataclass(frozen=True)
+class Header:
+    """All of a stream that is not coded motion.
+
+    `codec` is the number of the codec (0..31), `params` its settings (0..7 bytes). `digest` is the start of the SHA-256
+    of the model that the decoder needs, unless that model is embedded. `frame_time` (s) and `unit_cm` are None where the
+    model's own hold; a `unit_cm` of 0 says that nobody knows the unit. A chunk holds `chunk_frames` frames, the last the rest.
+    """
+
+    codec: int
+    params: bytes
+    frames: int
+    chunk_frames: int
+    skeleton: bytes
+    digest: bytes = b""
+    model: bytes | None = None
+    frame_time: float | None = None
+    unit_cm: float | None = None
+
+    @property
+    def chunk_count(self) -> int:
+        return -(-self.frames // self.chunk_frames)
+
+
+@dataclass(frozen=True)
+class Stream:
+    """A stream whose bounds have been checked; each chunk is verified as it is taken."""
+
+    header: Header
+    data: bytes
+    header_crc: int
+    spans: tuple[tuple[int, int], ...]
+
+    def chunk(self, index: int) -> bytes:
+        """The coded motion of one chunk; raises CorruptStream where its checksum, or the header's, does not hold."""
+        start, stop = self.spans[index]
+        payload = self.data[start:stop]
+        (stored,) = struct.unpack("<I", self.data[stop : stop + 4])
+        if zlib.crc32(payload, self.header_crc) != stored:
+            raise CorruptStream(f"chunk {index} (byte {start}) does not match its checksum: fetch the stream again")
+        return payload
+
+    def section_bytes(self) -> dict[str, int]:
+        """Where the bytes go: they sum to the size of the stream."""
+        coded = sum(stop - start for start, stop in self.spans)
+        model = len(self.header.model or b"")
+        skeleton = len(self.header.skeleton)
+        frame = len(self.data) - coded - model - skeleton
+        return {"framing": frame, "skeleton": skeleton, "model": model, "motion": coded}
+
+
+def write_stream(header: Header, chunks: list[bytes]) -> bytes:
+    """The bytes of a stream. Raises ValueError where the chunks do not fit the header."""
+    if len(chunks) != header.chunk_count or header.frames < 1:
+        raise ValueError(f"{len(chunks)} chunks for {header.frames} frames in chunks of {header.chunk_frames}")
+    many = len(chunks) > 1
+    unit = _UNIT_OF_MODEL if header.unit_cm is None else _UNIT_UNKNOWN if header.unit_cm == 0 else _UNIT_STATED
+    flags = unit | _FRAME_TIME_STATED * (header.frame_time is not None) | _MANY_CHUNKS * many
+    flags |= _MODEL_EMBEDDED * (header.model is not None)
+    out = bytearray(MAGIC)
+    out += bytes([VERSION, header.codec | len(header.params) << 5, flags]) + header.params
+    out += b"" if header.model is not None else header.digest
+    out += varint(header.frames)
+    out += varint(header.chunk_frames) if many else b""
+    out += struct.pack("<d", header.frame_time) if header.frame_time is not None else b""
+    out += struct.pack("<d", header.unit_cm) if unit == _UNIT_STATED else b""
+    out += varint(len(header.skeleton)) + header.skeleton
+    out += varint(len(header.model)) + header.model if header.model is not None else b""
+    out += b"".join(varint(len(c)) for c in chunks)
+    header_crc = zlib.crc32(out)
+    for payload in chunks:
+        out += payload + struct.pack("<I", zlib.crc32(payload, header_crc))
+    return bytes(out)
+
+
+def is_stream(data: bytes) -> bool:
+    """True when the bytes begin as a stream does."""
+    return data[: len(MAGIC)] == MAGIC
+
+
+def read_stream(data: bytes) -> Stream:
+    """A stream with all of its lengths checked, and its header verified through the checksum of the first chunk.
+
+    Raises CorruptStream, TruncatedStream or UnsupportedVersion.
+    """
+    reader = ByteReader(data)
+    if reader.take(len(MAGIC)) != MAGIC:
+        raise CorruptStream("this is no jaxmocap stream: it does not begin with 'JMC'")
+    try:
+        stream = _read_checked(reader)
+        stream.chunk(0)
+    except JaxmocapError:
+        if len(data) > 3 and data[3] > VERSION:
+            raise UnsupportedVersion(f"the stream has format {data[3]}, this jaxmocap reads up to {VERSION}: upgrade") from None
+        raise
+    return stream
+
+
+def _read_checked(reader: ByteReader) -> Stream:
+    version = reader.byte()
+    if not 1 <= version <= VERSION:
+        raise UnsupportedVersion(f"the stream has format {version}, this jaxmocap reads 1 to {VERSION}: upgrade")
+    codec = reader.byte()
+    flags = reader.byte()
+    if flags & ~_KNOWN_FLAGS or flags & 3 == 3:
+        raise UnsupportedVersion(f"the stream sets flags {flags:#04x}, this jaxmocap knows {_KNOWN_FLAGS:#04x}: upgrade")
+    params = reader.take(codec >> 5)
+    digest = b"" if flags & _MODEL_EMBEDDED else reader.take(DIGEST_BYTES)
+    frames = reader.varint()
+    chunk_frames = reader.varint() if flags & _MANY_CHUNKS else frames
+    if not 0 < chunk_frames <= frames or (flags & _MANY_CHUNKS and chunk_frames == frames):
+        raise CorruptStream(f"the header speaks of {frames} frames in chunks of {chunk_frames}")
+    frame_time = _positive(reader.float64(), "frame time") if flags & _FRAME_TIME_STATED else None
+    unit = flags & 3
+    unit_cm = None if unit == _UNIT_OF_MODEL else 0.0 if unit == _UNIT_UNKNOWN else _positive(reader.float64(), "unit")
+    skeleton = reader.take(reader.varint())
+    model = reader.take(reader.varint()) if flags & _MODEL_EMBEDDED else None
+    header = Header(codec & 31, params, frames, chunk_frames, skeleton, digest, model, frame_time, unit_cm)
+    if header.chunk_count > reader.left:
+        reader.take(header.chunk_count)  # a length a chunk, at least: says how many bytes are missing
+    lengths = [reader.varint() for _ in range(header.chunk_count)]
+    header_crc = zlib.crc32(reader.data[: reader.at])
+    spans = []
+    for length in lengths:
+        start = reader.at
+        reader.take(length + 4)
+        spans.append((start, start + length))
+    if reader.left:
+        raise CorruptStream(f"{reader.left} bytes follow the last chunk")
+    return Stream(header, reader.data, header_crc, tuple(spans))
+
+
+def _positive(value: float, name: str) -> float:
+    if not 0 < value < 1e9:
+        raise CorruptStream(f"the header gives a {name} of {value}")
+    return value

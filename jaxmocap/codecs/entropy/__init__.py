@@ -1,0 +1,1 @@
+"""Entropy coding: integers in, bytes out, with nothing but integers in between."""

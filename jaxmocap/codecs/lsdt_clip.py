@@ -1,0 +1,263 @@
+"""`lsdt-clip`: the clip-based method of Hou et al. 2016 (section 3.2), with real bytes.
+
+Clips of L frames, temporal DCT (4), learned spatial transform (5), hard threshold and uniform quantisation, entropy
+coding. Ours: the two readings of the entropy coding (`form`), bones of exact length in what is decoded (joint rotations
+are fitted to the decoded positions), chunks of four clips, and a basis that travels along where no model knows the rig.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+from typing import Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from ..errors import CorruptStream
+from ..features.recovery import recover_values, recoverable
+from ..kinematics import pose, positions_cm
+from ..metrics import joint_error
+from ..motion import Motion
+from ..skeleton import Skeleton
+from . import coefficients_paper, coefficients_runs, lsdt_basis
+from .artifact import Artifact, find_artifact, parse_artifact
+from .base import AbstractCodec, Target
+from .clips import Cut, analyse, cut, positions_of, synthesise, to_clips
+from .container import DIGEST_BYTES, Header, Stream, read_stream, write_stream
+from .lsdt_basis import Coding
+from .lsdt_model import CLIP_FRAMES, LsdtModel
+from .quantise import dequantise, quantise, step_cm, step_index
+from .rate_control import coarsest, meets
+from .rig import read_skeleton, write_skeleton
+
+NUMBER = 1
+CHUNK_CLIPS = 4
+FORMS = ("paper", "runs")
+_UNIT_FRAMES = 60
+
+
+class LsdtClip(AbstractCodec):
+    """`artifact` is the trained model; `target` None means a mean error of 0.5 % of the figure's height.
+
+    `embed` puts the model itself into every stream.
+    """
+
+    artifact: Artifact = eqx.field(static=True)
+    clip_frames: int = eqx.field(static=True, default=240)
+    form: Literal["paper", "runs"] = eqx.field(static=True, default="runs")
+    target: Target | None = eqx.field(static=True, default=None)
+    embed: bool = eqx.field(static=True, default=False)
+
+    def __check_init__(self) -> None:
+        if self.clip_frames not in CLIP_FRAMES:
+            raise ValueError(f"clip_frames is {self.clip_frames}, wanted one of {CLIP_FRAMES}")
+        if self.form not in FORMS:
+            raise ValueError(f"form is {self.form!r}, wanted one of {FORMS}")
+
+    def config(self) -> dict:
+        target = None if self.target is None else {"kind": self.target.kind, "cm": self.target.cm}
+        return {"codec": "lsdt-clip", "clip_frames": self.clip_frames, "form": self.form, "target": target, "embed": self.embed}
+
+    def encode(self, motion: Motion) -> bytes:
+        """The stream; what decodes from it has been measured to meet the target.
+
+        Raises JaxmocapError where the target is out of reach.
+        """
+        source = _Source.of(motion, _model(self.artifact), self.clip_frames)
+        target = self.target or Target.default(motion)
+        coding = lsdt_basis.known(source.model) if source.known else lsdt_basis.fit(source.positions, source.model)
+        index = source.coarsest_step(coding, target)
+        if not source.known:
+            band = coefficients_runs.bands(self.clip_frames, source.frame_rate)
+            coding = lsdt_basis.fit_to_levels(coding, source.levels(coding, index), band, index)
+        while True:
+            data = self._write(source, coding, index)
+            if index == 0 or meets(source.error(self.decode(data)), target):
+                return data
+            index -= 1
+
+    def decode(self, data: bytes, frames: slice | None = None) -> Motion:
+        return decode(read_stream(data), self.artifact, frames)
+
+    def _write(self, source: _Source, coding: Coding, index: int) -> bytes:
+        levels = source.levels(coding, index)
+        clips = [levels[n, :, :length] for n, length in enumerate(source.cut.lengths)]
+        chunks = [
+            _encode_chunk(self.form, clips[n : n + CHUNK_CLIPS], coding, index, source.frame_rate)
+            for n in range(0, len(clips), CHUNK_CLIPS)
+        ]
+        rig, motion = source.model.rig, source.motion
+        skeleton = write_skeleton(motion.skeleton, rig, source.scale, index)
+        header = Header(
+            codec=NUMBER,
+            params=bytes([FORMS.index(self.form) << 7 | self.clip_frames // _UNIT_FRAMES, index]),
+            frames=motion.frame_count,
+            chunk_frames=min(CHUNK_CLIPS * self.clip_frames, motion.frame_count),
+            skeleton=skeleton if coding.own is None else skeleton + lsdt_basis.write_own(coding.own),
+            digest=bytes.fromhex(self.artifact.digest)[:DIGEST_BYTES],
+            model=self.artifact.data if self.embed else None,
+            frame_time=None if motion.frame_time == rig.frame_time else motion.frame_time,
+            unit_cm=None if motion.unit_cm == rig.unit_cm else motion.unit_cm or 0.0,
+        )
+        return write_stream(header, chunks)
+
+
+def decode(stream: Stream, at_hand: Artifact | None, frames: slice | None = None) -> Motion:
+    """The motion of a stream, or some of its frames; `at_hand` is a model that may be the one it needs."""
+    header = stream.header
+    form, clip_frames, index = _params(header)
+    model = _model(_artifact(header, at_hand))
+    unit_cm = model.rig.unit_cm if header.unit_cm is None else header.unit_cm or None
+    skeleton, scale, rest, is_known = read_skeleton(header.skeleton, model.rig, unit_cm, index)
+    coding = lsdt_basis.known(model) if is_known else lsdt_basis.read_own(rest, skeleton.joint_count, model)
+    frame_time = model.rig.frame_time if header.frame_time is None else header.frame_time
+
+    start, stop, stride = (frames or slice(None)).indices(header.frames)
+    if stride != 1 or start >= stop:
+        raise ValueError(f"frames {start}:{stop} of {header.frames} are none; wanted start < stop and no stride")
+    first, last = start // header.chunk_frames, (stop - 1) // header.chunk_frames
+    clips = []
+    for n in range(first, last + 1):
+        held = min(header.chunk_frames, header.frames - n * header.chunk_frames)
+        clips += _decode_chunk(form, stream.chunk(n), cut(held, clip_frames).lengths, coding, index, round(1 / frame_time))
+    total = sum(c.shape[1] for c in clips)
+    c = cut(total, clip_frames)
+    levels = np.zeros((c.padded, 3, clip_frames, coding.components), np.int32)
+    for n, clip in enumerate(clips):
+        levels[n, :, : clip.shape[1]] = clip
+    positions = _positions(levels, c, coding, index)
+    motion = _to_motion(skeleton, positions, scale, model.rig.expected if is_known else None, total, frame_time, unit_cm)
+    skipped = first * header.chunk_frames
+    return motion if frames is None else motion.frames(start - skipped, stop - skipped)
+
+
+@dataclass(frozen=True)
+class _Source:
+    """A motion made ready for one encoding after another. `scale` is cm per file unit, guessed where it is unknown."""
+
+    motion: Motion
+    model: LsdtModel
+    known: bool
+    scale: float
+    positions: Float[np.ndarray, "frames joints 3"]
+    cut: Cut
+    clips: Float[Array, "clips 3 frames joints"]
+
+    @staticmethod
+    def of(motion: Motion, model: LsdtModel, clip_frames: int) -> _Source:
+        if not recoverable(motion.skeleton):
+            s = motion.skeleton
+            positions = np.asarray(pose(motion).positions)
+            motion = Motion.from_positions(positions, s.names, motion.frame_time, s.parents, motion.unit_cm)
+        known = model.rig.skeleton.same_rig(motion.skeleton)
+        scale = motion.unit_cm or (model.rig.unit_cm if known else 1.0)
+        positions = np.asarray(positions_cm(motion)) / motion.scale * scale
+        c = cut(motion.frame_count, clip_frames)
+        return _Source(motion, model, known, scale, positions, c, jnp.asarray(to_clips(positions, c)))
+
+    @property
+    def frame_rate(self) -> int:
+        return max(1, round(1 / self.motion.frame_time))
+
+    def levels(self, coding: Coding, index: int) -> Int[np.ndarray, "clips 3 frequencies components"]:
+        return np.asarray(quantise(self._coefficients(coding), step_cm(index)))
+
+    def _coefficients(self, coding: Coding) -> Array:
+        return analyse(self.clips, self.cut.full, self.cut.last, self.cut.count - 1, coding.bases.analysis)
+
+    def coarsest_step(self, coding: Coding, target: Target) -> int:
+        """Found on positions alone first, which is quick, then on what the decoder makes of them."""
+        target = Target(target.kind, target.cm * self.scale / self.motion.scale)
+        if target.kind == "step":
+            return step_index(target.cm)
+        coefficients = self._coefficients(coding)
+
+        def decoded(index: int) -> Float[Array, "frames joints 3"]:
+            levels = quantise(coefficients, step_cm(index))
+            return _positions(levels, self.cut, coding, index)
+
+        def on_positions(index: int) -> tuple[float, float]:
+            return _error(self.positions, decoded(index))
+
+        def on_motion(index: int) -> tuple[float, float]:
+            expected = self.model.rig.expected if self.known else None
+            made = _to_motion(self.motion.skeleton, decoded(index), self.scale, expected, self.cut.frames, 1.0, None)
+            return _error(self.positions, pose(made).positions * self.scale)
+
+        start = coarsest(on_positions, target)
+        return coarsest(on_motion, target, start)
+
+    def error(self, decoded: Motion) -> tuple[float, float]:
+        """Mean and maximum joint error of a decoded motion, in cm, or in file units where the unit is unknown."""
+        mean, largest = _error(self.positions, pose(decoded).positions * self.scale)
+        return mean * self.motion.scale / self.scale, largest * self.motion.scale / self.scale
+
+
+def _error(positions: Float[np.ndarray, "frames joints 3"], decoded: Array) -> tuple[float, float]:
+    error = np.asarray(joint_error(jnp.asarray(positions), jnp.asarray(decoded)[: len(positions)]))
+    return float(error.mean()), float(error.max())
+
+
+def _positions(levels: np.ndarray | Array, c: Cut, coding: Coding, index: int) -> Float[Array, "padded_frames joints 3"]:
+    coefficients = dequantise(jnp.asarray(levels), step_cm(index))
+    return positions_of(synthesise(coefficients, c.full, c.last, c.count - 1, coding.bases.synthesis))
+
+
+def _to_motion(
+    skeleton: Skeleton,
+    positions: Float[Array, "padded_frames joints 3"],
+    scale: float,
+    expected: np.ndarray | None,
+    frames: int,
+    frame_time: float,
+    unit_cm: float | None,
+) -> Motion:
+    """Rotations fitted to positions in cm; where joints have position channels of their own, the positions as they are."""
+    in_units = positions / scale
+    if not recoverable(skeleton):
+        return Motion.from_positions(
+            np.asarray(in_units)[:frames], skeleton.names, frame_time, skeleton.parents, unit_cm
+        )
+    values = np.asarray(recover_values(skeleton, in_units, expected), np.float64)[:frames]
+    return Motion(skeleton, values, frame_time, unit_cm)
+
+
+def _encode_chunk(form: str, clips: list[np.ndarray], coding: Coding, index: int, frame_rate: int) -> bytes:
+    lengths = [c.shape[1] for c in clips]
+    if form == "runs":
+        return coefficients_runs.encode_clips(clips, [coding.tables(n) for n in lengths], index, frame_rate)
+    return coefficients_paper.encode_clips(clips, [coding.codes(n) for n in lengths], index)
+
+
+def _decode_chunk(form: str, data: bytes, lengths: list[int], coding: Coding, index: int, frame_rate: int) -> list[np.ndarray]:
+    if form == "runs":
+        tables = [coding.tables(n) for n in lengths]
+        return coefficients_runs.decode_clips(data, lengths, coding.components, tables, index, frame_rate)
+    return coefficients_paper.decode_clips(data, lengths, coding.components, [coding.codes(n) for n in lengths], index)
+
+
+def _params(header: Header) -> tuple[str, int, int]:
+    """Form, frames a clip and step index of a stream."""
+    if header.codec != NUMBER or len(header.params) != 2:
+        raise CorruptStream(f"this is no lsdt-clip stream: codec {header.codec}, {len(header.params)} bytes of settings")
+    first, index = header.params
+    clip_frames = (first & 127) * _UNIT_FRAMES
+    if clip_frames not in CLIP_FRAMES:
+        raise CorruptStream(f"the stream has clips of {clip_frames} frames, known are {CLIP_FRAMES}")
+    if header.chunk_frames != min(CHUNK_CLIPS * clip_frames, header.frames):
+        raise CorruptStream(f"the stream has chunks of {header.chunk_frames} frames for clips of {clip_frames}")
+    return FORMS[first >> 7], clip_frames, index
+
+
+def _artifact(header: Header, at_hand: Artifact | None) -> Artifact:
+    if header.model is not None:
+        return parse_artifact(header.model, "the stream's model")
+    return find_artifact(header.digest, at_hand)
+
+
+@functools.lru_cache(maxsize=8)
+def _model(artifact: Artifact) -> LsdtModel:
+    return LsdtModel.load(artifact)

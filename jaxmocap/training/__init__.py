@@ -1,0 +1,1 @@
+"""Learning transforms from corpora, and keeping them."""

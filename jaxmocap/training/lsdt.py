@@ -1,0 +1,235 @@
+"""Training of `lsdt-clip`: bases from sampled frames, then magnitudes, then entropy tables from the levels themselves."""
+
+from __future__ import annotations
+
+import functools
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from ..codecs import coefficients_paper, coefficients_runs
+from ..codecs.artifact import Artifact, make_artifact
+from ..codecs.clips import Bases, analyse, cut, to_clips
+from ..codecs.coefficients_paper import PaperCodes
+from ..codecs.coefficients_runs import BANDS, CONTEXTS, COUNT_CONTEXTS, RunTables
+from ..codecs.entropy import integers
+from ..codecs.entropy.huffman import code_lengths
+from ..codecs.entropy.tables import FrequencyTable
+from ..codecs.lsdt_clip import CHUNK_CLIPS
+from ..codecs.lsdt_model import CLIP_FRAMES, LsdtModel, nearest
+from ..codecs.quantise import PER_OCTAVE, STEPS, quantise, step_cm
+from ..errors import FormatError
+from ..features.recovery import recoverable
+from ..kinematics import local_rotations, pose
+from ..skeleton import Skeleton
+from ..transforms import dct_matrix, fit_lsdt, growing
+from .corpus import Corpus
+from .loop import Stage, State, run
+from .rigs import fit_rig
+
+SPARSITY = 8
+ITERATIONS = 300
+SAMPLES = 11360
+_ITERATIONS_AN_ITEM = 50
+# One step an octave, from 1/8 cm to 256 cm: the contexts are relative to the step, so what lies between is alike.
+STEP_INDICES = range(4 * PER_OCTAVE + PER_OCTAVE // 2, STEPS, PER_OCTAVE)
+
+
+def train_lsdt(corpus: Corpus, checkpoint: Path) -> tuple[Artifact, dict]:
+    """The model of a corpus of one rig, and a report: the objective's curve, and bits against distortion by step.
+
+    Raises FormatError where the corpus has several rigs, or one whose joints cannot be told from positions.
+    """
+    trainer = _Trainer(corpus)
+    state = run(trainer.stages(), checkpoint, f"lsdt-clip {corpus.digest()}")
+    model = trainer.model(state)
+    spec = {
+        "codec": "lsdt-clip",
+        "corpus": corpus.digest(),
+        "rig": model.rig.spec(),
+        "sparsity": SPARSITY,
+        "iterations": ITERATIONS,
+    }
+    artifact = make_artifact(spec, model.tensors())
+    report = {
+        "codec": "lsdt-clip",
+        "digest": artifact.digest,
+        "files": len(corpus.files),
+        "frames": int(state["frames"].sum()),
+        "objective": state["objective"].tolist(),
+        "steps_cm": [step_cm(i) for i in STEP_INDICES],
+        "nonzeros_a_frame": (state["seen.nonzeros"] / state["frames"].sum()).tolist(),
+    }
+    return artifact, report
+
+
+class _Trainer:
+    """The stages, each a fold over the files of the corpus; every number that they pass on lies in the state."""
+
+    def __init__(self, corpus: Corpus):
+        rigs = corpus.rigs()
+        skeleton = rigs[0][0]
+        if len(rigs) > 1:
+            others = ", ".join(f"{r.files[0].name} and {len(r.files) - 1} more" for _, r in rigs[1:])
+            raise FormatError(f"the corpus has {len(rigs)} rigs; a model is for one: train apart from the first {others}")
+        if not recoverable(skeleton):
+            raise FormatError(f"{corpus.files[0]}: joints move along their bones in this rig; lsdt-clip needs rigid bones")
+        self.corpus = corpus
+        self.skeleton = skeleton
+        self.joints = skeleton.joint_count
+
+    def stages(self) -> list[Stage]:
+        files = len(self.corpus.files)
+        return [
+            Stage("reading", files, self._read),
+            Stage("learning the bases", ITERATIONS // _ITERATIONS_AN_ITEM, self._fit),
+            Stage("measuring magnitudes", files, self._measure),
+            Stage("counting symbols", files, self._count),
+        ]
+
+    def _positions(self, item: int) -> Float[np.ndarray, "frames joints 3"]:
+        """Of one file, in cm. The stages go over the files one after another, so the last ones are kept at hand."""
+        return _positions(self.corpus, self.corpus.files[item])
+
+    def _read(self, state: State, item: int) -> State:
+        """Frame counts, bones and mean rotations; frames for the bases are taken at an even pace over the corpus."""
+        motion = self.corpus.motion(self.corpus.files[item])
+        positions = self._positions(item)
+        turned = local_rotations(motion.skeleton, jnp.asarray(motion.values[:: max(1, motion.frame_count // 256)]))
+        bones = np.concatenate([motion.skeleton.offsets, motion.skeleton.end_offsets])
+        return {
+            "frames": np.append(state.get("frames", np.zeros(0, np.int64)), motion.frame_count),
+            "bones": np.concatenate([state.get("bones", np.zeros((0, *bones.shape))), bones[None]]),
+            "rotations": state.get("rotations", 0.0) + np.asarray(turned.sum(0), np.float64),
+            "unit": np.array([motion.scale, motion.frame_time]),
+            "kept": np.concatenate([state.get("kept", np.zeros((0, self.joints, 3), np.float32)), positions[::8]]),
+        }
+
+    def _fit(self, state: State, item: int) -> State:
+        kept = state["kept"]
+        chosen = kept[np.linspace(0, len(kept) - 1, min(SAMPLES, len(kept))).astype(int)]
+        samples = jnp.asarray(np.ascontiguousarray(chosen.transpose(2, 0, 1)))
+        part = growing(min(SPARSITY, self.joints), ITERATIONS).reshape(-1, _ITERATIONS_AN_ITEM)[item]
+        start = state.get("basis")
+        if start is None:
+            start = np.tile(dct_matrix(self.joints).astype(np.float32), (3, 1, 1))
+        fits = [fit_lsdt(samples[d : d + 1], jnp.asarray(start[d]), part) for d in range(3)]
+        basis = np.concatenate([np.asarray(f.transform.basis) for f in fits])
+        curve = np.concatenate([np.asarray(f.objective[:-1]) for f in fits], 1)
+        return {**state, "basis": basis, "objective": np.concatenate([state.get("objective", curve[:0]), curve])}
+
+    def _measure(self, state: State, item: int) -> State:
+        """Sums of magnitudes by coordinate, band and component."""
+        state = dict(state)
+        for frames in CLIP_FRAMES:
+            total = state.get(f"sum.{frames}", np.zeros((3, BANDS, self.joints))).copy()
+            number = state.get(f"number.{frames}", np.zeros((3, BANDS, self.joints))).copy()
+            for chunk in self._chunks(state, item, frames):
+                for clip in chunk:
+                    if nearest(clip.shape[1]) == frames:
+                        band = coefficients_runs.bands(clip.shape[1], self._frame_rate(state))
+                        for d in range(3):
+                            np.add.at(total[d], band, np.abs(clip[d], dtype=np.float64))
+                            np.add.at(number[d], band, 1.0)
+            state[f"sum.{frames}"], state[f"number.{frames}"] = total, number
+        return state
+
+    def _count(self, state: State, item: int) -> State:
+        """Symbols of both forms at every step."""
+        state = {name: value.copy() if name.startswith("seen.") else value for name, value in state.items()}
+        for frames in CLIP_FRAMES:
+            seen = _Seen.of(state, frames, self.joints)
+            scale = _scale(state, frames)
+            for chunk in self._chunks(state, item, frames):
+                if nearest(chunk[-1].shape[1]) != frames:
+                    chunk = chunk[:-1]
+                for n, index in enumerate(STEP_INDICES):
+                    levels = [np.asarray(quantise(clip, step_cm(index)), np.int64) for clip in map(jnp.asarray, chunk)]
+                    seen.add(levels, scale, index, self._frame_rate(state))
+                    if frames == CLIP_FRAMES[-1]:
+                        state.setdefault("seen.nonzeros", np.zeros(len(STEP_INDICES)))[n] += sum((v != 0).sum() for v in levels)
+        return state
+
+    def _chunks(self, state: State, item: int, frames: int) -> list[list[np.ndarray]]:
+        """The coefficients of a file's clips (3, frequencies, components), chunk by chunk."""
+        positions = self._positions(item)
+        c = cut(len(positions), frames)
+        coefficients = np.asarray(analyse(to_clips(positions, c), c.full, c.last, c.count - 1, state["basis"]))
+        clips = [coefficients[n, :, :length] for n, length in enumerate(c.lengths)]
+        return [clips[n : n + CHUNK_CLIPS] for n in range(0, len(clips), CHUNK_CLIPS)]
+
+    def _frame_rate(self, state: State) -> int:
+        return round(1 / float(state["unit"][1]))
+
+    def model(self, state: State) -> LsdtModel:
+        """The model of the final state."""
+        s = self.skeleton
+        people = [
+            Skeleton(s.names, s.parents, b[: self.joints], s.channels, s.end_joints, b[self.joints :], s.axes)
+            for b in np.unique(state["bones"], axis=0)
+        ]
+        unit_cm, frame_time = (float(x) for x in state["unit"])
+        rig = fit_rig(people, state["rotations"], unit_cm, frame_time)
+        tables = {f: _Seen.of(state, f, self.joints).tables(_scale(state, f)) for f in CLIP_FRAMES}
+        codes = {f: _Seen.of(state, f, self.joints).codes() for f in CLIP_FRAMES}
+        return LsdtModel(rig, Bases(state["basis"], state["basis"]), tables, codes)
+
+
+@functools.lru_cache(maxsize=2)
+def _positions(corpus: Corpus, file: Path) -> Float[np.ndarray, "frames joints 3"]:
+    """In cm; each stage needs a file once for every clip length."""
+    motion = corpus.motion(file)
+    return np.asarray(pose(motion).positions) * np.float32(motion.scale)
+
+
+def _scale(state: State, frames: int) -> np.ndarray:
+    """The mean magnitudes as 16 log2 of cm; what never occurred is taken to be minute."""
+    mean = state[f"sum.{frames}"] / np.maximum(state[f"number.{frames}"], 1.0)
+    return np.rint(PER_OCTAVE * np.log2(np.maximum(mean, 2.0**-20))).astype(np.int16)
+
+
+class _Seen:
+    """Counts of all symbols of one clip length, as views into the state."""
+
+    def __init__(self, arrays: dict[str, np.ndarray]):
+        self.arrays = arrays
+
+    @staticmethod
+    def of(state: State, frames: int, joints: int) -> _Seen:
+        shapes = {
+            "count": (COUNT_CONTEXTS, integers.SYMBOLS),
+            "run": (CONTEXTS, integers.SYMBOLS),
+            "value": (CONTEXTS, integers.SYMBOLS),
+            "position": (3, joints),
+            "level": (coefficients_paper.STEP_CLASSES, coefficients_paper.VALUE_SYMBOLS),
+        }
+        return _Seen({n: state.setdefault(f"seen.{frames}.{n}", np.zeros(s, np.int64)) for n, s in shapes.items()})
+
+    def add(self, chunk: list[np.ndarray], scale: np.ndarray, index: int, frame_rate: int) -> None:
+        previous: list[int | None] = [None, None, None]
+        for levels in chunk:
+            for d, scan in enumerate(coefficients_runs.scans(scale, levels.shape[1], frame_rate)):
+                s = coefficients_runs.symbols(levels[d], scan, index)
+                context = coefficients_runs.count_context(previous[d])
+                self.arrays["count"][context, integers.split(np.array([s.count]))[0][0]] += 1
+                previous[d] = s.count
+                np.add.at(self.arrays["run"], (s.run_context, integers.split(s.run)[0]), 1)
+                np.add.at(self.arrays["value"], (s.value_context, integers.split(s.value)[0]), 1)
+                self.arrays["position"][d] += (levels[d] != 0).sum(0)
+                values = coefficients_paper.value_symbol(levels[d][levels[d] != 0])
+                np.add.at(self.arrays["level"][index // PER_OCTAVE], values, 1)
+
+    def tables(self, scale: np.ndarray) -> RunTables:
+        count, run_, value = ([FrequencyTable.from_counts(row) for row in self.arrays[n]] for n in ("count", "run", "value"))
+        return RunTables(scale, count, run_, value)
+
+    def codes(self) -> PaperCodes:
+        level = self.arrays["level"].copy()
+        trained = np.flatnonzero(level.sum(1))
+        for row in np.flatnonzero(level.sum(1) == 0):  # steps beyond those trained code as the nearest that was
+            level[row] = level[trained[np.abs(trained - row).argmin()]]
+        return PaperCodes(
+            np.stack([code_lengths(row) for row in self.arrays["position"]]), np.stack([code_lengths(row) for row in level])
+        )
