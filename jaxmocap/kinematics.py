@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from . import rotations
+from . import components
 from .motion import Motion
 from .skeleton import POSITION_CHANNELS, ROTATION_CHANNELS, Skeleton
 
@@ -25,52 +25,75 @@ class Pose(NamedTuple):
 
 def local_rotations(skeleton: Skeleton, values: Float[Array, "... channels"]) -> Float[Array, "... joints 3 3"]:
     """Rotation of every joint in its parent's frame; identity where it has no rotation channel."""
-    column, axis, used = _rotation_columns(skeleton)
-    angles = jnp.where(used, jnp.deg2rad(values[..., column]), 0.0)
-    factors = rotations.about_axis(jnp.asarray(axis, angles.dtype), angles)
-    result = factors[..., 0, :, :]
-    for n in range(1, column.shape[1]):
-        result = rotations.multiply(result, factors[..., n, :, :])
-    if not skeleton.has_axes:
-        return result
-    axes = jnp.asarray(skeleton.axes, angles.dtype)
-    return rotations.multiply(rotations.multiply(axes, result), rotations.transpose(axes))
-
-
-def local_translations(skeleton: Skeleton, values: Float[Array, "... channels"]) -> Float[Array, "... joints 3"]:
-    """Position of every joint in its parent's frame: its offset, replaced where it has a position channel."""
-    column, used = _position_columns(skeleton)
-    return jnp.where(used, values[..., column], jnp.asarray(skeleton.offsets, values.dtype))
+    return _outward(_local_rotations(skeleton, jnp.moveaxis(values, -1, 0)), 2)
 
 
 def forward(skeleton: Skeleton, values: Float[Array, "... channels"]) -> Pose:
     """Pose of every frame. Differentiable in the values and in the skeleton's offsets."""
-    return compose(skeleton, local_rotations(skeleton, values), local_translations(skeleton, values))
+    columns = jnp.moveaxis(values, -1, 0)
+    return _compose(skeleton, _local_rotations(skeleton, columns), _local_translations(skeleton, columns))
 
 
 def compose(
     skeleton: Skeleton, rotation: Float[Array, "... joints 3 3"], translation: Float[Array, "... joints 3"]
 ) -> Pose:
-    """Global pose from local rotations and translations.
+    """Global pose from local rotations and translations."""
+    return _compose(skeleton, _inward(rotation, 2), _inward(translation, 1))
 
-    Every joint is carried to its parent's frame, then to that of its grandparent, then four up: the logarithm of the
-    depth in steps, each over all joints at once, where a walk down the tree would take one a joint.
-    """
+
+# Inside, components and joints lead and frames trail, (3, 3, joints, ...): see components.py.
+
+
+def _inward(x: Array, count: int) -> Array:
+    """From (..., joints, components) to (components, joints, ...)."""
+    return jnp.moveaxis(components.first(x, count), -1, count)
+
+
+def _outward(x: Array, count: int) -> Array:
+    """From (components, joints, ...) to (..., joints, components)."""
+    return components.last(jnp.moveaxis(x, count, -1), count)
+
+
+def _local_rotations(skeleton: Skeleton, columns: Float[Array, "channels ..."]) -> Float[Array, "3 3 joints ..."]:
+    column, axis, used = _rotation_columns(skeleton)
+    frames = columns.shape[1:]
+    result = components.identity((skeleton.joint_count, *frames), columns.dtype)
+    for n in range(column.shape[1] if skeleton.has_rotations else 0):
+        present = used[:, n].reshape(-1, *[1] * len(frames))
+        about = jnp.asarray(axis[:, n].T.reshape(3, -1, *[1] * len(frames)), columns.dtype)
+        factor = components.about_axis(about, jnp.where(present, jnp.deg2rad(columns[column[:, n]]), 0.0))
+        result = components.multiply(result, factor) if n else factor
+    if not skeleton.has_axes:
+        return result
+    axes = jnp.asarray(skeleton.axes, columns.dtype).transpose(1, 2, 0).reshape(3, 3, -1, *[1] * len(frames))
+    return components.multiply(components.multiply(axes, result), components.transpose(axes))
+
+
+def _local_translations(skeleton: Skeleton, columns: Float[Array, "channels ..."]) -> Float[Array, "3 joints ..."]:
+    """Every joint's offset, replaced where it has a position channel."""
+    column, used = _position_columns(skeleton)
+    trailing = [1] * (columns.ndim - 1)
+    offsets = jnp.asarray(skeleton.offsets, columns.dtype).T.reshape(3, -1, *trailing)
+    return jnp.where(used.T.reshape(3, -1, *trailing), columns[column.T], offsets)
+
+
+def _compose(skeleton: Skeleton, g: Float[Array, "3 3 joints ..."], t: Float[Array, "3 joints ..."]) -> Pose:
+    """Every joint is carried to its parent's frame, then to that of its grandparent, then four up: the logarithm of
+    the depth in steps, each over all joints at once, where a walk down the tree would take one a joint."""
     joints = skeleton.joint_count
-    eye = jnp.broadcast_to(jnp.eye(3, dtype=rotation.dtype), (*rotation.shape[:-3], 1, 3, 3))
-    g = jnp.concatenate([rotation, eye], -3)
-    t = jnp.concatenate([translation, jnp.zeros_like(translation[..., :1, :])], -2)
+    g = jnp.concatenate([g, components.identity((1, *g.shape[3:]), g.dtype)], 2)
+    t = jnp.concatenate([t, jnp.zeros_like(t[:, :1])], 1)
     ancestor = np.append(np.where(np.array(skeleton.parents) < 0, joints, skeleton.parents), joints)
     for _ in range(math.ceil(math.log2(max(_depth(skeleton), 2)))):
-        up = g[..., ancestor, :, :]
-        t = t[..., ancestor, :] + rotations.apply(up, t)
-        g = rotations.multiply(up, g)
+        up = g[:, :, ancestor]
+        t = t[:, ancestor] + components.apply(up, t)
+        g = components.multiply(up, g)
         ancestor = ancestor[ancestor]
-    positions, world = t[..., :joints, :], g[..., :joints, :, :]
-    at = list(skeleton.end_joints)
-    offsets = jnp.asarray(skeleton.end_offsets, rotation.dtype)
-    ends = positions[..., at, :] + rotations.apply(world[..., at, :, :], offsets)
-    return Pose(positions, world, ends)
+    t, g = t[:, :joints], g[:, :, :joints]
+    at = np.array(skeleton.end_joints, int)
+    offsets = jnp.asarray(skeleton.end_offsets, g.dtype).T.reshape(3, -1, *[1] * (t.ndim - 2))
+    ends = t[:, at] + components.apply(g[:, :, at], offsets)
+    return Pose(_outward(t, 1), _outward(g, 2), _outward(ends, 1))
 
 
 _forward_jit = eqx.filter_jit(forward)
@@ -79,12 +102,18 @@ _forward_jit = eqx.filter_jit(forward)
 def pose(motion: Motion) -> Pose:
     """Pose of every frame of a motion, in file units.
 
-    Frames are padded to a power of two, so that motions of a rig share few compiled programs.
+    Frames are padded to few lengths, so that motions of a rig share few compiled programs.
     """
     frames = motion.frame_count
-    values = np.zeros((max(64, 1 << (frames - 1).bit_length()), motion.skeleton.channel_count))
+    values = np.zeros((padded_length(frames), motion.skeleton.channel_count))
     values[:frames] = motion.values
     return Pose(*(x[:frames] for x in _forward_jit(motion.skeleton, jnp.asarray(values))))
+
+
+def padded_length(frames: int) -> int:
+    """The next of four lengths an octave, and at least 64: few programs to compile, little work in vain."""
+    quarter = max(64, 1 << (frames - 1).bit_length()) // 8
+    return -(-frames // quarter) * quarter if frames > 64 else 64
 
 
 def positions_cm(motion: Motion) -> Float[Array, "frames joints 3"]:

@@ -106,10 +106,10 @@ def test_quaternions_agree_with_scipy():
 
 
 def test_rotation_vectors_agree_with_scipy():
-    np.testing.assert_allclose(rot.to_rotation_vector(matrices(TURNS)), TURNS.as_rotvec(), atol=1e-12)
-    v = rot.to_rotation_vector(matrices())
+    np.testing.assert_allclose(log(matrices())[: len(TURNS)], TURNS.as_rotvec(), atol=1e-12)
+    v = log(matrices())
     assert np.linalg.norm(v, axis=-1).max() < np.pi + 1e-12
-    np.testing.assert_allclose(rot.from_rotation_vector(v), ALL.as_matrix(), atol=1e-12)
+    np.testing.assert_allclose(exp(v), ALL.as_matrix(), atol=1e-12)
     long = np.random.default_rng(2).normal(size=(50, 3)) * 4
     np.testing.assert_allclose(
         rot.from_rotation_vector(jnp.asarray(long)), Rotation.from_rotvec(long).as_matrix(), atol=1e-13
@@ -222,11 +222,10 @@ UNARY = {
 @pytest.mark.parametrize("name", UNARY)
 def test_compiled_batched_and_single_calls_agree(name):
     function, x = UNARY[name][0], jnp.asarray(UNARY[name][1][:6])
-    whole = function(x)
-    np.testing.assert_allclose(jax.jit(function)(x), whole, atol=1e-14)
-    np.testing.assert_allclose(jax.vmap(function)(x), whole, atol=1e-14)
-    np.testing.assert_allclose([function(v) for v in x], whole, atol=1e-14)
-    np.testing.assert_allclose(function(x.reshape(2, 3, *x.shape[1:])).reshape(whole.shape), whole, atol=1e-14)
+    whole, single = function(x), jax.jit(function)
+    np.testing.assert_allclose(jax.jit(jax.vmap(function))(x), whole, atol=1e-14)
+    np.testing.assert_allclose([single(v) for v in x], whole, atol=1e-14)
+    np.testing.assert_allclose(single(x.reshape(2, 3, *x.shape[1:])).reshape(whole.shape), whole, atol=1e-14)
 
 
 HALF_TURNS = [np.diag(d) for d in ((1.0, -1, -1), (-1.0, 1, -1), (-1.0, -1, 1))]
@@ -247,11 +246,12 @@ def test_gradients_are_finite_at_the_identity_and_at_half_turns():
     x = jnp.array([1.0, 0.0, 0.0])
 
     def everything(r):
-        return (rot.to_quaternion(r), rot.to_rotation_vector(r), rot.from_sixd(rot.to_sixd(r)),
-                rot.swing(x, rot.apply(r, x)), rot.swing(x * 0, rot.apply(r, x)), rot.swing(rot.apply(r, x), x * 0))
+        y = rot.apply(r, x)
+        swings = rot.swing(jnp.stack([x, x * 0, y]), jnp.stack([y, y, x * 0]))
+        outputs = (rot.to_quaternion(r), rot.to_rotation_vector(r), rot.from_sixd(rot.to_sixd(r)), swings)
+        return sum(output.sum() for output in outputs)
 
-    for slope in jax.jit(jax.vmap(jax.jacrev(everything)))(jnp.asarray(HARD)):
-        assert np.isfinite(slope).all()
+    assert np.isfinite(jax.jit(jax.vmap(jax.grad(everything)))(jnp.asarray(HARD))).all()
 
 
 slope_of_exp = jax.jit(jax.jacrev(rot.from_rotation_vector))

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..errors import CorruptStream
-from ..features.recovery import recover_values, recoverable
+from ..features.recovery import recover, recoverable
 from ..kinematics import pose, positions_cm
 from ..metrics import joint_error
 from ..motion import Motion
@@ -184,10 +184,12 @@ class _Source:
 
         def on_motion(index: int) -> tuple[float, float]:
             expected = self.model.rig.expected if self.known else None
-            made = _to_motion(self.motion.skeleton, decoded(index), self.scale, expected, self.cut.frames, 1.0, None)
-            return _error(self.positions, pose(made).positions * self.scale)
+            made = recover(self.motion.skeleton, decoded(index) / self.scale, expected).positions
+            return _error(self.positions, made * self.scale)
 
         start = coarsest(on_positions, target)
+        if not recoverable(self.motion.skeleton):
+            return start
         return coarsest(on_motion, target, start)
 
     def error(self, decoded: Motion) -> tuple[float, float]:
@@ -221,7 +223,7 @@ def _to_motion(
         return Motion.from_positions(
             np.asarray(in_units)[:frames], skeleton.names, frame_time, skeleton.parents, unit_cm
         )
-    values = np.asarray(recover_values(skeleton, in_units, expected), np.float64)[:frames]
+    values = np.asarray(recover(skeleton, in_units, expected).values, np.float64)[:frames]
     return Motion(skeleton, values, frame_time, unit_cm)
 
 

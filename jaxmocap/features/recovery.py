@@ -14,7 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .. import rotations as rot
+from .. import components as rot
+from ..rotations import from_euler, to_euler
 from ..skeleton import POSITION_CHANNELS, ROTATION_CHANNELS, Skeleton
 
 
@@ -25,12 +26,19 @@ def recoverable(skeleton: Skeleton) -> bool:
     return skeleton.is_rigid and roots_move and all(len(o) <= 3 and _neighbours_differ(o) for o in orders)
 
 
-def recover_values(
+class Recovered(NamedTuple):
+    """Channel values (degrees, file units), and where they put the joints (file units)."""
+
+    values: Float[Array, "frames channels"]
+    positions: Float[Array, "frames joints 3"]
+
+
+def recover(
     skeleton: Skeleton,
     positions: Float[Array, "frames joints 3"],
     expected: Float[np.ndarray, "joints 3 3"] | None = None,
-) -> Float[Array, "frames channels"]:
-    """Channel values (degrees, file units) whose forward kinematics comes closest to the global `positions`.
+) -> Recovered:
+    """The channel values whose forward kinematics comes closest to the global `positions` (file units).
 
     `expected` holds the local rotation that each joint is assumed to have where positions leave it open: the mean pose,
     or the rest pose where it is None. Exact where the positions come from this skeleton. Raises ValueError where
@@ -41,7 +49,7 @@ def recover_values(
     if expected is None:
         expected = np.tile(np.eye(3), (skeleton.joint_count, 1, 1))
     levels, kabsch = _plan(skeleton, np.asarray(expected, np.float64))
-    return _recover(skeleton, levels, kabsch, positions)
+    return Recovered(*_recover(skeleton, levels, kabsch, positions))
 
 
 class _Level(NamedTuple):
@@ -113,66 +121,71 @@ def _targets(skeleton: Skeleton, joint: int, expected: np.ndarray) -> list[tuple
     return found
 
 
+# Inside, components and joints lead and frames trail, (3, 3, joints, frames): see components.py.
+
+
 @eqx.filter_jit
-def _recover(skeleton: Skeleton, levels: _Level, kabsch: _Kabsch, positions: Array) -> Array:
+def _recover(skeleton: Skeleton, levels: _Level, kabsch: _Kabsch, positions: Array) -> tuple[Array, Array]:
     joints, dtype = skeleton.joint_count, positions.dtype
-    seen = jnp.moveaxis(positions, 1, 0)
-    eye = jnp.broadcast_to(jnp.eye(3, dtype=dtype), (joints + 2, seen.shape[1], 3, 3))
-    world = eye
+    seen = jnp.transpose(positions, (2, 1, 0))
+    world = rot.identity((joints + 2, seen.shape[2]), dtype)
     if kabsch.joints:
-        at = jnp.asarray(kabsch.joints)
-        world = world.at[at].set(_fit(seen[jnp.asarray(kabsch.targets)] - seen[at][:, None], kabsch.places))
-    placed = jnp.concatenate([seen, jnp.zeros_like(seen[:2])])
+        at = np.array(kabsch.joints)
+        world = world.at[:, :, at].set(_fit(seen[:, kabsch.targets] - seen[:, at][:, :, None], kabsch.places))
+    placed = jnp.concatenate([seen, jnp.zeros_like(seen[:, :2])], 1)
     limited = any(len(_order(c)) < 3 for c in skeleton.channels)
 
     def descend(state, level):
         world, placed = state
-        up = world[level.parent]
-        root = (level.parent == joints)[:, None, None]
-        here = placed[level.parent] + rot.apply(up, level.offset[:, None, :])
-        here = jnp.where(root, placed[level.joint], here)
-        predicted = rot.multiply(up, level.expected[:, None])
-        swung = rot.multiply(rot.swing(rot.apply(predicted, level.place[:, None]), seen[level.target] - here), predicted)
-        still = (jnp.abs(level.place).sum(-1) == 0)[:, None, None, None]
+        up = world[:, :, level.parent]
+        root = (level.parent == joints)[:, None]
+        here = placed[:, level.parent] + rot.apply(up, level.offset.T[:, :, None])
+        here = jnp.where(root, placed[:, level.joint], here)
+        predicted = rot.multiply(up, level.expected.transpose(1, 2, 0)[..., None])
+        bone = rot.apply(predicted, level.place.T[:, :, None])
+        swung = rot.multiply(rot.swing(bone, seen[:, level.target] - here), predicted)
+        still = (jnp.abs(level.place).sum(-1) == 0)[:, None]
         turned = jnp.where(still, predicted, swung)
-        turned = jnp.where(level.fitted[:, None, None, None], world[level.joint], turned)
+        turned = jnp.where(level.fitted[:, None], world[:, :, level.joint], turned)
         if limited:
             turned = rot.multiply(up, _allowed(rot.multiply(rot.transpose(up), turned), level.free, level.turn))
-        return (world.at[level.joint].set(turned), placed.at[level.joint].set(here)), None
+        return (world.at[:, :, level.joint].set(turned), placed.at[:, level.joint].set(here)), None
 
     levels = jax.tree.map(lambda a: a.astype(dtype) if jnp.issubdtype(a.dtype, jnp.floating) else a, levels)
-    (world, _), _ = jax.lax.scan(descend, (world, placed), levels)
+    (world, placed), _ = jax.lax.scan(descend, (world, placed), levels)
     above = np.where(np.array(skeleton.parents) < 0, joints, skeleton.parents)
-    local = rot.multiply(rot.transpose(world[above]), world[:joints])
+    local = rot.multiply(rot.transpose(world[:, :, above]), world[:, :, :joints])
     if skeleton.has_axes:
-        axes = jnp.asarray(skeleton.axes, dtype)[:, None]
+        axes = jnp.asarray(skeleton.axes, dtype).transpose(1, 2, 0)[..., None]
         local = rot.multiply(rot.multiply(rot.transpose(axes), local), axes)
-    return _values(skeleton, local, seen)
+    return _values(skeleton, local, seen), jnp.transpose(placed[:, :joints], (2, 1, 0))
 
 
-def _fit(seen: Float[Array, "joints bones frames 3"], places: np.ndarray) -> Float[Array, "joints frames 3 3"]:
+def _fit(seen: Float[Array, "3 joints bones frames"], places: np.ndarray) -> Float[Array, "3 3 joints frames"]:
     """The rotation that brings all bones of a joint nearest to where their ends were seen (Kabsch)."""
-    m = jnp.einsum("jbfi,jbk->jfik", seen, jnp.asarray(places, seen.dtype))
+    m = jnp.einsum("ijbf,jbk->jfik", seen, jnp.asarray(places, seen.dtype))
     u, _, vt = jnp.linalg.svd(m, full_matrices=False)
-    mirror = jnp.sign(jnp.linalg.det(rot.multiply(u, vt)))
+    mirror = jnp.sign(jnp.linalg.det(u @ vt))
     scale = jnp.stack([jnp.ones_like(mirror), jnp.ones_like(mirror), mirror], -1)
-    return rot.multiply(u * scale[..., None, :], vt)
+    return rot.first((u * scale[..., None, :]) @ vt, 2)
 
 
-def _allowed(local: Array, free: Array, turn: Array) -> Array:
+def _allowed(local: Float[Array, "3 3 lanes frames"], free: Array, turn: Array) -> Float[Array, "3 3 lanes frames"]:
     """The part of each local rotation that a joint with fewer than three rotation channels can make."""
-    turn = turn[:, None]
+    turn = turn.transpose(1, 2, 0)[..., None]
     m = rot.multiply(rot.multiply(turn, local), rot.transpose(turn))
-    first = jnp.arctan2(m[..., 2, 1] - m[..., 1, 2], m[..., 1, 1] + m[..., 2, 2])
-    two = rot.to_euler(m, "XYZ").at[..., 2].set(0.0)
-    one = jnp.stack([first, jnp.zeros_like(first), jnp.zeros_like(first)], -1)
-    count = free[:, None, None]
-    angles = jnp.where(count == 0, 0.0, jnp.where(count == 1, one, two))
-    kept = rot.multiply(rot.multiply(rot.transpose(turn), rot.from_euler(angles, "XYZ")), turn)
-    return jnp.where(count[..., None] == 3, local, kept)
+    alone = jnp.arctan2(m[2, 1] - m[1, 2], m[1, 1] + m[2, 2])
+    two = to_euler(rot.last(m, 2), "XYZ")
+    zero = jnp.zeros_like(alone)
+    count = free[:, None]
+    x = jnp.where(count == 0, zero, jnp.where(count == 1, alone, two[..., 0]))
+    y = jnp.where(count == 2, two[..., 1], zero)
+    made = rot.first(from_euler(jnp.stack([x, y], -1), "XY"), 2)
+    kept = rot.multiply(rot.multiply(rot.transpose(turn), made), turn)
+    return jnp.where(count == 3, local, kept)
 
 
-def _values(skeleton: Skeleton, local: Float[Array, "joints frames 3 3"], seen: Float[Array, "joints frames 3"]) -> Array:
+def _values(skeleton: Skeleton, local: Float[Array, "3 3 joints frames"], seen: Float[Array, "3 joints frames"]) -> Array:
     """Channel columns in file order. One Euler conversion an order serves all joints that share it."""
     orders = [_order(c) for c in skeleton.channels]
     angles: dict[int, Array] = {}
@@ -180,14 +193,14 @@ def _values(skeleton: Skeleton, local: Float[Array, "joints frames 3 3"], seen: 
         of_order = [j for j, o in enumerate(orders) if o == order]
         # Channels that a joint lacks are zero in its rotation by now, so any completing axis will do.
         rest = "".join(a for a in "XYZ" if a not in order)
-        converted = jnp.rad2deg(rot.to_euler(local[jnp.asarray(of_order)], (order + rest)[:3]))
+        converted = jnp.rad2deg(to_euler(rot.last(local[:, :, np.array(of_order)], 2), (order + rest)[:3]))
         angles |= {j: converted[n] for n, j in enumerate(of_order)}
     columns = []
     for j, channels in enumerate(skeleton.channels):
         turns = iter(range(3))
         for c in channels:
             is_position = c in POSITION_CHANNELS
-            columns.append(seen[j, :, POSITION_CHANNELS.index(c)] if is_position else angles[j][:, next(turns)])
+            columns.append(seen[POSITION_CHANNELS.index(c), j] if is_position else angles[j][:, next(turns)])
     return jnp.stack(columns, -1)
 
 

@@ -180,11 +180,11 @@ def _raw_parts(value: int, count: int) -> list[tuple[int, int]]:
 
 def _shortest(low: int, width: int, size: int) -> bytes:
     """The fewest bytes whose number, followed by zeros up to `size` bytes, lies in [low, low + width)."""
-    for zeros in range(size, -1, -1):
-        unit = 256**zeros
+    for zeros in range(min(size, 8), -1, -1):
+        unit = 1 << 8 * zeros
         point = -(-low // unit) * unit
         if point < low + width:
-            return (point // unit).to_bytes(size - zeros, "big")
+            return point.to_bytes(size, "big").rstrip(b"\0")
     raise AssertionError("an interval of a range coder is never empty")
 
 
