@@ -1,73 +1,126 @@
 """Rotation matrices with their components in front, (3, 3, ...): each component is then one long array.
 
 On a CPU this is five times faster than a batched dot over trailing (3, 3), which is why kinematics and recovery work this
-way inside. Everybody else uses `rotations`.
+way inside. Everybody else uses `rotations`. The functions take numpy arrays as well as JAX's, and give back the same:
+what runs once, on the host, need not be compiled.
 """
 
 from __future__ import annotations
 
+from types import ModuleType
+
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
-Matrix = Float[Array, "3 3 ..."]
-Vector = Float[Array, "3 ..."]
+Matrix = Float[Array | np.ndarray, "3 3 ..."]
+Vector = Float[Array | np.ndarray, "3 ..."]
+Scalar = Float[Array | np.ndarray, "..."]
+
+_AXES = "XYZ"
 
 
-def first(x: Array, count: int) -> Array:
+def namespace(x: Array | np.ndarray) -> ModuleType:
+    """The module whose functions suit the array: numpy or jax.numpy."""
+    return np if isinstance(x, np.ndarray | np.generic) else jnp
+
+
+def first(x: Scalar, count: int) -> Scalar:
     """The last `count` axes brought to the front."""
-    return jnp.moveaxis(x, tuple(range(-count, 0)), tuple(range(count)))
+    return namespace(x).moveaxis(x, tuple(range(-count, 0)), tuple(range(count)))
 
 
-def last(x: Array, count: int) -> Array:
+def last(x: Scalar, count: int) -> Scalar:
     """The first `count` axes brought to the back."""
-    return jnp.moveaxis(x, tuple(range(count)), tuple(range(-count, 0)))
+    return namespace(x).moveaxis(x, tuple(range(count)), tuple(range(-count, 0)))
 
 
 def multiply(a: Matrix, b: Matrix) -> Matrix:
     """The matrix product a b."""
-    rows = [jnp.stack([a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j] for j in range(3)]) for i in range(3)]
-    return jnp.stack(rows)
+    return _matrix([[a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j] for j in range(3)] for i in range(3)])
 
 
 def apply(a: Matrix, v: Vector) -> Vector:
     """The rotated vector a v."""
-    return jnp.stack([a[i, 0] * v[0] + a[i, 1] * v[1] + a[i, 2] * v[2] for i in range(3)])
+    return _vector([a[i, 0] * v[0] + a[i, 1] * v[1] + a[i, 2] * v[2] for i in range(3)])
 
 
 def transpose(a: Matrix) -> Matrix:
     """The inverse rotation."""
-    return jnp.swapaxes(a, 0, 1)
+    return namespace(a).swapaxes(a, 0, 1)
 
 
-def identity(shape: tuple[int, ...], dtype: jnp.dtype) -> Matrix:
-    return jnp.broadcast_to(jnp.eye(3, dtype=dtype).reshape(3, 3, *[1] * len(shape)), (3, 3, *shape))
+def identity(shape: tuple[int, ...], like: Scalar) -> Matrix:
+    """The identity for a batch of this shape, of the kind and dtype of `like`."""
+    xp = namespace(like)
+    return xp.broadcast_to(xp.eye(3, dtype=like.dtype).reshape(3, 3, *[1] * len(shape)), (3, 3, *shape))
 
 
-def about_axis(axis: Vector, angle: Float[Array, "..."]) -> Matrix:
+def about_axis(axis: Vector, angle: Scalar) -> Matrix:
     """Rotation by `angle` radians about the unit vector `axis` (Rodrigues)."""
-    s, c = jnp.sin(angle), jnp.cos(angle)
+    xp = namespace(angle)
+    s, c = xp.sin(angle), xp.cos(angle)
     x, y, z = axis[0], axis[1], axis[2]
     t = 1.0 - c
-    rows = [
+    return _matrix([
         [c + t * (x * x), t * (x * y) - s * z, t * (x * z) + s * y],
         [t * (y * x) + s * z, c + t * (y * y), t * (y * z) - s * x],
         [t * (z * x) - s * y, t * (z * y) + s * x, c + t * (z * z)],
-    ]
-    return jnp.stack([jnp.stack(row) for row in rows])
+    ])
 
 
-def dot(a: Vector, b: Vector) -> Float[Array, "..."]:
+def from_euler(angles: Float[Array | np.ndarray, "n ..."], order: str) -> Matrix:
+    """The product, left to right, of rotations by `angles` radians about the axes in `order`."""
+    xp = namespace(angles)
+    result = identity(angles.shape[1:], angles)
+    for n, name in enumerate(order):
+        axis = xp.eye(3, dtype=angles.dtype)[_AXES.index(name)].reshape(3, *[1] * (angles.ndim - 1))
+        factor = about_axis(axis, angles[n])
+        result = multiply(result, factor) if n else factor
+    return result
+
+
+def to_euler(r: Matrix, order: str) -> Vector:
+    """Angles in radians, so that `from_euler(angles, order)` is the rotation; at gimbal lock the third is 0.
+
+    `order` names three axes, neighbours different: all 12 orders. Raises ValueError for any other.
+    """
+    if len(order) != 3 or set(order) - set(_AXES) or order[0] == order[1] or order[1] == order[2]:
+        raise ValueError(f"order is {order!r}, wanted three axes of X, Y, Z with neighbours different")
+    xp = namespace(r)
+    i, j = _AXES.index(order[0]), _AXES.index(order[1])
+    k = 3 - i - j
+    sign = 1.0 if (j - i) % 3 == 1 else -1.0
+    nearly = 1e-6 if r.dtype == np.float32 else 1e-12
+    if order[0] == order[2]:
+        across = _hypot(r[i, j], r[i, k])
+        middle = _safe_atan2(across, r[i, i])
+        start = _safe_atan2(r[j, i], -sign * r[k, i])
+    else:
+        across = _hypot(r[i, i], r[i, j])
+        middle = _safe_atan2(sign * r[i, k], across)
+        start = _safe_atan2(-sign * r[j, k], r[k, k])
+    locked = across < nearly
+    start = xp.where(locked, _safe_atan2(sign * r[k, j], r[j, j]), start)
+    # Near the lock `start` is mostly rounding; the last angle is read after undoing it, and so makes up for it.
+    row = xp.cos(start) * r[j] + sign * xp.sin(start) * r[k]
+    end = _safe_atan2(-sign * row[k] if order[0] == order[2] else sign * row[i], row[j])
+    return xp.stack([start, middle, xp.where(locked, 0.0, end)])
+
+
+def dot(a: Vector, b: Vector) -> Scalar:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def cross(a: Vector, b: Vector) -> Vector:
-    return jnp.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+    return _vector([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
 def normalise(v: Vector) -> Vector:
     """v / |v|; the zero vector stays zero."""
+    xp = namespace(v)
     n2 = dot(v, v)
-    return jnp.where(n2 == 0, 0.0, v / jnp.sqrt(jnp.where(n2 == 0, 1.0, n2)))
+    return xp.where(n2 == 0, 0.0, v / xp.sqrt(xp.where(n2 == 0, 1.0, n2)))
 
 
 def swing(a: Vector, b: Vector) -> Matrix:
@@ -75,27 +128,42 @@ def swing(a: Vector, b: Vector) -> Matrix:
 
     Opposite directions are half a turn apart about an axis across `a`.
     """
-    a, b = normalise(a), normalise(b)
-    shape = jnp.broadcast_shapes(a.shape, b.shape)
-    a, b = jnp.broadcast_to(a, shape), jnp.broadcast_to(b, shape)
+    xp = namespace(b)
+    a, b = xp.broadcast_arrays(normalise(a), normalise(b))
     along = dot(a, b)
-    defined = (dot(a, a) > 0) & (dot(b, b) > 0)
-    opposite = defined & (along < -0.999999)
-    plain = defined & ~opposite
-    v = cross(a, b)
-    f = 1.0 / jnp.where(plain, 1.0 + along, 1.0)
-    zero = jnp.zeros_like(along)
-    k = [[zero, -v[2], v[1]], [v[2], zero, -v[0]], [-v[1], v[0], zero]]
-    # I + [v] + [v]^2 / (1 + a.b), with [v]^2 = v v^T - |v|^2 I
-    square = dot(v, v)
-    rows = [
-        jnp.stack([k[i][j] + f * v[i] * v[j] + (1.0 - f * square if i == j else 0.0) for j in range(3)]) for i in range(3)
-    ]
-    turn = jnp.stack(rows)
-    across = normalise(cross(a, jnp.where(jnp.abs(a[0]) < 0.6, _unit(0, a), _unit(1, a))))
-    half = 2 * across[:, None] * across[None, :] - identity(along.shape, a.dtype)
-    return jnp.where(opposite, half, jnp.where(defined, turn, identity(along.shape, a.dtype)))
+    opposite = along < -0.999999
+    # The quaternion (1 + a.b, a x b), once normalised, turns a into b; where either is zero it is the identity.
+    zero = xp.zeros_like(along)
+    x_across, y_across = _vector([zero, a[2], -a[1]]), _vector([-a[2], zero, a[0]])
+    across = xp.where(xp.abs(a[0]) < 0.6, x_across, y_across)
+    w = xp.where(opposite, 0.0, 1.0 + along)
+    x, y, z = xp.where(opposite, across, cross(a, b))
+    s = 2.0 / (w * w + x * x + y * y + z * z)
+    return _matrix([
+        [1 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y)],
+        [s * (x * y + w * z), 1 - s * (x * x + z * z), s * (y * z - w * x)],
+        [s * (x * z - w * y), s * (y * z + w * x), 1 - s * (x * x + y * y)],
+    ])
 
 
-def _unit(axis: int, like: Vector) -> Vector:
-    return jnp.stack([jnp.full(like.shape[1:], float(n == axis), like.dtype) for n in range(3)])
+def _vector(rows: list[Scalar]) -> Vector:
+    return namespace(rows[0]).stack(rows)
+
+
+def _matrix(rows: list[list[Scalar]]) -> Matrix:
+    xp = namespace(rows[0][0])
+    return xp.stack([xp.stack(row) for row in rows])
+
+
+def _hypot(x: Scalar, y: Scalar) -> Scalar:
+    """sqrt(x^2 + y^2) whose gradient at (0, 0) is 0, not NaN."""
+    xp = namespace(x)
+    square = x * x + y * y
+    return xp.where(square == 0, 0.0, xp.sqrt(xp.where(square == 0, 1.0, square)))
+
+
+def _safe_atan2(y: Scalar, x: Scalar) -> Scalar:
+    """atan2 whose gradient at (0, 0) is 0, not NaN."""
+    xp = namespace(y)
+    zero = (x == 0) & (y == 0)
+    return xp.where(zero, 0.0, xp.arctan2(xp.where(zero, 0.0, y), xp.where(zero, 1.0, x)))

@@ -57,7 +57,7 @@ def _outward(x: Array, count: int) -> Array:
 def _local_rotations(skeleton: Skeleton, columns: Float[Array, "channels ..."]) -> Float[Array, "3 3 joints ..."]:
     column, axis, used = _rotation_columns(skeleton)
     frames = columns.shape[1:]
-    result = components.identity((skeleton.joint_count, *frames), columns.dtype)
+    result = components.identity((skeleton.joint_count, *frames), columns)
     for n in range(column.shape[1] if skeleton.has_rotations else 0):
         present = used[:, n].reshape(-1, *[1] * len(frames))
         about = jnp.asarray(axis[:, n].T.reshape(3, -1, *[1] * len(frames)), columns.dtype)
@@ -81,7 +81,7 @@ def _compose(skeleton: Skeleton, g: Float[Array, "3 3 joints ..."], t: Float[Arr
     """Every joint is carried to its parent's frame, then to that of its grandparent, then four up: the logarithm of
     the depth in steps, each over all joints at once, where a walk down the tree would take one a joint."""
     joints = skeleton.joint_count
-    g = jnp.concatenate([g, components.identity((1, *g.shape[3:]), g.dtype)], 2)
+    g = jnp.concatenate([g, components.identity((1, *g.shape[3:]), g)], 2)
     t = jnp.concatenate([t, jnp.zeros_like(t[:, :1])], 1)
     ancestor = np.append(np.where(np.array(skeleton.parents) < 0, joints, skeleton.parents), joints)
     for _ in range(math.ceil(math.log2(max(_depth(skeleton), 2)))):

@@ -50,50 +50,16 @@ def from_euler(angles: Float[Array, "... n"], order: str) -> Float[Array, "... 3
     """The product, left to right, of rotations by `angles` radians about the axes in `order`, such as "ZYX" or "XYX"."""
     if angles.shape[-1] != len(order):
         raise ValueError(f"angles have {angles.shape[-1]} columns, wanted one for each axis of order {order!r}")
-    eye = jnp.eye(3, dtype=angles.dtype)
-    result = jnp.broadcast_to(eye, (*angles.shape[:-1], 3, 3))
-    for n, name in enumerate(order):
-        result = multiply(result, about_axis(eye[_AXIS[name]], angles[..., n]))
-    return result
+    return components.last(components.from_euler(components.first(angles, 1), order), 2)
 
 
 def to_euler(rotation: Float[Array, "... 3 3"], order: str) -> Float[Array, "... 3"]:
     """Angles in radians, so that `from_euler(angles, order)` is the rotation.
 
-    `order` names three axes, neighbours different: all 12 orders. At gimbal lock the third angle is 0.
+    `order` names three axes, neighbours different: all 12 orders. At gimbal lock the third angle is 0. Raises
+    ValueError for any other order.
     """
-    if len(order) != 3 or set(order) - set("XYZ") or order[0] == order[1] or order[1] == order[2]:
-        raise ValueError(f"order is {order!r}, wanted three axes of X, Y, Z with neighbours different")
-    i, j = _AXIS[order[0]], _AXIS[order[1]]
-    k = 3 - i - j
-    sign = 1.0 if (j - i) % 3 == 1 else -1.0
-    r = rotation
-    if order[0] == order[2]:
-        across = _length(r[..., i, j], r[..., i, k])
-        middle = _safe_atan2(across, r[..., i, i])
-        first = _safe_atan2(r[..., j, i], -sign * r[..., k, i])
-    else:
-        across = _length(r[..., i, i], r[..., i, j])
-        middle = _safe_atan2(sign * r[..., i, k], across)
-        first = _safe_atan2(-sign * r[..., j, k], r[..., k, k])
-    locked = across < (1e-6 if r.dtype == jnp.float32 else 1e-12)
-    first = jnp.where(locked, _safe_atan2(sign * r[..., k, j], r[..., j, j]), first)
-    # Near the lock `first` is mostly rounding; the last angle is read after undoing it, and so makes up for it.
-    row = jnp.cos(first)[..., None] * r[..., j, :] + sign * jnp.sin(first)[..., None] * r[..., k, :]
-    last = _safe_atan2(-sign * row[..., k] if order[0] == order[2] else sign * row[..., i], row[..., j])
-    return jnp.stack([first, middle, jnp.where(locked, 0.0, last)], -1)
-
-
-def _length(x: Float[Array, "..."], y: Float[Array, "..."]) -> Float[Array, "..."]:
-    """hypot whose gradient at (0, 0) is 0, not NaN."""
-    zero = (x == 0) & (y == 0)
-    return jnp.where(zero, 0.0, jnp.hypot(jnp.where(zero, 1.0, x), y))
-
-
-def _safe_atan2(y: Float[Array, "..."], x: Float[Array, "..."]) -> Float[Array, "..."]:
-    """atan2 whose gradient at (0, 0) is 0, not NaN."""
-    zero = (x == 0) & (y == 0)
-    return jnp.where(zero, 0.0, jnp.arctan2(jnp.where(zero, 0.0, y), jnp.where(zero, 1.0, x)))
+    return components.last(components.to_euler(components.first(rotation, 2), order), 1)
 
 
 def from_quaternion(q: Float[Array, "... 4"]) -> Float[Array, "... 3 3"]:
@@ -138,7 +104,7 @@ def from_rotation_vector(v: Float[Array, "... 3"]) -> Float[Array, "... 3 3"]:
     # 1 - cos loses all digits of a small angle, 2 sin^2 of its half none.
     b = jnp.where(small, 0.5 - angle2 / 24, 2 * jnp.sin(angle / 2) ** 2 / safe2)[..., None, None]
     k = skew(v)
-    return _identity(k) + a * k + b * multiply(k, k)
+    return jnp.broadcast_to(jnp.eye(3, dtype=v.dtype), k.shape) + a * k + b * multiply(k, k)
 
 
 def to_rotation_vector(rotation: Float[Array, "... 3 3"]) -> Float[Array, "... 3"]:

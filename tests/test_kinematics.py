@@ -1,5 +1,6 @@
 """Forward kinematics against a plain walk down the tree, against pybvh, and its gradients against differences."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from jaxmocap import Motion, Skeleton
 from jaxmocap.formats.bvh import read_bvh
-from jaxmocap.kinematics import compose, forward, local_rotations, local_translations, pose, positions_cm
+from jaxmocap.kinematics import compose, forward, local_rotations, pose, positions_cm
 from jaxmocap.skeleton import POSITION_CHANNELS
 from jaxmocap.synthesis import walk
 
@@ -68,10 +69,10 @@ def lone_point() -> Skeleton:
     return Skeleton(["marker"], [-1], np.ones((1, 3)), [POSITION_CHANNELS])
 
 
-@pytest.mark.parametrize("skeleton", [two_figures(), chain(9), lone_point(), chain(1)], ids=["two", "nine", "one", "root"])
+@pytest.mark.parametrize("skeleton", [two_figures(), chain(9), lone_point()], ids=["two", "chain", "point"])
 def test_forward_is_the_walk_down_the_tree(skeleton):
     values = np.random.default_rng(6).uniform(-200, 200, (5, skeleton.channel_count))
-    seen = forward(skeleton, jnp.asarray(values))
+    seen = jax.jit(lambda v: forward(skeleton, v))(jnp.asarray(values))
     expected = [np.stack(x) for x in zip(*(walk_down(skeleton, v) for v in values), strict=True)]
     for got, wanted in zip(seen, expected, strict=True):
         assert got.shape == wanted.shape
@@ -80,9 +81,9 @@ def test_forward_is_the_walk_down_the_tree(skeleton):
 
 def test_every_bone_count_up_to_a_deep_chain_closes():
     """The doubling of strides must reach the root whatever the depth."""
-    for joints in (2, 3, 4, 5, 8, 16, 17):
+    for joints in (2, 5, 17):
         skeleton = chain(joints)
-        straight = forward(skeleton, jnp.zeros(3 * joints)).positions
+        straight = jax.jit(lambda v, skeleton=skeleton: forward(skeleton, v).positions)(jnp.zeros(3 * joints))
         np.testing.assert_allclose(straight, np.arange(1, joints + 1)[:, None] * [0.0, 1.0, 0.1], atol=1e-12)
 
 
@@ -98,7 +99,7 @@ def test_pybvh_agrees_on_a_file(data_dir):
     np.testing.assert_allclose(seen.ends, theirs[:, is_end], atol=1e-9)
 
 
-@pytest.mark.parametrize("frames", [1, 63, 64, 65])
+@pytest.mark.parametrize("frames", [1, 65])
 def test_pose_is_forward_for_any_number_of_frames(frames):
     motion = walk(0, 1.0).frames(0, frames)
     seen = pose(motion)
@@ -119,7 +120,7 @@ def test_positions_only_motion_stands_where_it_was_put():
 
 
 def test_compiled_batched_and_single_frames_agree():
-    skeleton = two_figures()
+    skeleton = chain(3)
     values = jnp.asarray(np.random.default_rng(8).uniform(-90, 90, (4, skeleton.channel_count)))
     whole = forward(skeleton, values)
     single = jax.jit(lambda v: forward(skeleton, v))
@@ -128,12 +129,17 @@ def test_compiled_batched_and_single_frames_agree():
             np.testing.assert_allclose(got.reshape(wanted.shape), wanted, atol=1e-12)
 
 
-def test_compose_takes_apart_what_forward_does():
-    skeleton = two_figures()
-    values = jnp.asarray(np.random.default_rng(9).uniform(-90, 90, (2, skeleton.channel_count)))
-    parts = compose(skeleton, local_rotations(skeleton, values), local_translations(skeleton, values))
-    for got, wanted in zip(parts, forward(skeleton, values), strict=True):
-        np.testing.assert_array_equal(got, wanted)
+def test_compose_joins_local_rotations_and_translations():
+    skeleton = chain(4)
+    values = np.random.default_rng(9).uniform(-90, 90, (2, 12))
+    moved = np.random.default_rng(11).normal(size=(2, 4, 3))
+    joined = jax.jit(lambda v, t: compose(skeleton, local_rotations(skeleton, v), t))
+    seen = joined(values, moved)
+    for n in range(2):
+        stretched = Skeleton(skeleton.names, skeleton.parents, moved[n], skeleton.channels)
+        positions, turns, _ = walk_down(stretched, values[n])
+        np.testing.assert_allclose(seen.positions[n], positions, atol=1e-12)
+        np.testing.assert_allclose(seen.rotations[n], turns, atol=1e-12)
 
 
 def test_gradient_agrees_with_finite_differences():
@@ -144,10 +150,7 @@ def test_gradient_agrees_with_finite_differences():
     weights = [jnp.asarray(rng.normal(size=s)) for s in ((11, 3), (11, 3, 3), (4, 3))]
 
     def scalar(offsets, ends, v):
-        bent = Skeleton(skeleton.names, skeleton.parents, skeleton.offsets, skeleton.channels, skeleton.end_joints,
-                        skeleton.end_offsets, skeleton.axes)
-        object.__setattr__(bent, "offsets", offsets)
-        object.__setattr__(bent, "end_offsets", ends)
+        bent = eqx.tree_at(lambda s: (s.offsets, s.end_offsets), skeleton, (offsets, ends))
         return sum((w * x).sum() for w, x in zip(weights, forward(bent, v), strict=True))
 
     at = (jnp.asarray(skeleton.offsets), jnp.asarray(skeleton.end_offsets), values)
@@ -160,8 +163,10 @@ def test_gradient_agrees_with_finite_differences():
         np.testing.assert_allclose((slope * direction).sum(), (value(*step) - value(*back)) / 2e-5, rtol=1e-6)
 
 
-def test_gradient_is_finite_in_the_rest_pose():
-    skeleton = chain(5)
-    slope = jax.jit(jax.grad(lambda v: (forward(skeleton, v).positions ** 2).sum()))(jnp.zeros(15))
-    assert np.isfinite(slope).all()
-    assert np.abs(slope).max() > 0
+def test_gradient_in_the_rest_pose_is_the_lever_arm():
+    skeleton = chain(3)
+    slope = jax.jit(jax.jacrev(lambda v: forward(skeleton, v).positions[-1]))(jnp.zeros(9))
+    # A turn of a joint by w moves what hangs 2, 1, 0 bones below it by w x r.
+    below = np.arange(2, -1, -1)[:, None] * [0.0, 1.0, 0.1]
+    expected = np.cross(np.eye(3), below[:, None]) * np.pi / 180
+    np.testing.assert_allclose(slope, expected.reshape(9, 3).T, atol=1e-15)

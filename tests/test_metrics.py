@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 
 from jaxmocap import Motion, Skeleton, metrics
 from jaxmocap.kinematics import pose
@@ -14,10 +15,11 @@ A = jnp.zeros((2, 2, 3))
 B = jnp.array([[[0, 0, 0], [3, 4, 0]], [[0, 1, 0], [1, 2, 2]]], float)
 
 
-def arm(angles: np.ndarray, unit_cm: float | None = 2.0) -> Motion:
+def arm(angles: ArrayLike, unit_cm: float | None = 2.0) -> Motion:
     """Two bones of 10 units along x, an end site 5 further; `angles` are the x, y, z turns of shoulder and elbow."""
     channels = [("Xrotation", "Yrotation", "Zrotation")] * 2
-    skeleton = Skeleton(["shoulder", "elbow"], [-1, 0], np.array([[0, 0, 0], [10.0, 0, 0]]), channels, [1], [[5.0, 0, 0]])
+    along = np.array([[0, 0, 0], [10, 0, 0], [5, 0, 0]], float)
+    skeleton = Skeleton(["shoulder", "elbow"], [-1, 0], along[:2], channels, [1], along[2:])
     return Motion(skeleton, np.asarray(angles, float).reshape(-1, 6), 0.01, unit_cm)
 
 

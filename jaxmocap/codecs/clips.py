@@ -7,9 +7,10 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from ..transforms.dct import dct_matrix
+from .quantise import dequantise
 
 
 class Bases(NamedTuple):
@@ -59,13 +60,6 @@ def to_clips(positions: Float[np.ndarray, "frames joints 3"], c: Cut) -> Float[n
 
 
 @jax.jit
-def positions_of(clips: Float[Array, "clips 3 frames joints"]) -> Float[Array, "padded_frames joints 3"]:
-    """The frames of all clips one after another, those beyond the last one included."""
-    joined = jnp.moveaxis(clips, 1, -1)
-    return joined.reshape(-1, *joined.shape[2:])
-
-
-@jax.jit
 def analyse(
     clips: Float[Array, "clips 3 frames joints"], full: Array, last: Array, at: int, basis: Array
 ) -> Float[Array, "clips 3 frequencies components"]:
@@ -76,8 +70,10 @@ def analyse(
 
 @jax.jit
 def synthesise(
-    coefficients: Float[Array, "clips 3 frequencies components"], full: Array, last: Array, at: int, basis: Array
-) -> Float[Array, "clips 3 frames joints"]:
-    """The inverse of `analyse`."""
-    spectrum = coefficients @ basis
-    return (full.T @ spectrum).at[at].set(last.T @ spectrum[at])
+    levels: Int[Array, "clips 3 frequencies components"], step: float, full: Array, last: Array, at: int, basis: Array
+) -> Float[Array, "padded_frames joints 3"]:
+    """The inverse: levels to joint positions, the frames of all clips one after another, those beyond the last included."""
+    spectrum = dequantise(levels, step) @ basis
+    clips = (full.T @ spectrum).at[at].set(last.T @ spectrum[at])
+    joined = jnp.moveaxis(clips, 1, -1)
+    return joined.reshape(-1, *joined.shape[2:])

@@ -25,11 +25,11 @@ from ..skeleton import Skeleton
 from . import coefficients_paper, coefficients_runs, lsdt_basis
 from .artifact import Artifact, find_artifact, parse_artifact
 from .base import AbstractCodec, Target
-from .clips import Cut, analyse, cut, positions_of, synthesise, to_clips
+from .clips import Cut, analyse, cut, synthesise, to_clips
 from .container import DIGEST_BYTES, Header, Stream, read_stream, write_stream
 from .lsdt_basis import Coding
 from .lsdt_model import CLIP_FRAMES, LsdtModel
-from .quantise import dequantise, quantise, step_cm, step_index
+from .quantise import quantise, step_cm, step_index
 from .rate_control import coarsest, meets
 from .rig import read_skeleton, write_skeleton
 
@@ -184,7 +184,8 @@ class _Source:
 
         def on_motion(index: int) -> tuple[float, float]:
             expected = self.model.rig.expected if self.known else None
-            made = recover(self.motion.skeleton, decoded(index) / self.scale, expected).positions
+            in_units = np.asarray(decoded(index)) / np.float32(self.scale)
+            made = recover(self.motion.skeleton, in_units[: self.cut.frames], expected).positions
             return _error(self.positions, made * self.scale)
 
         start = coarsest(on_positions, target)
@@ -204,8 +205,8 @@ def _error(positions: Float[np.ndarray, "frames joints 3"], decoded: Array) -> t
 
 
 def _positions(levels: np.ndarray | Array, c: Cut, coding: Coding, index: int) -> Float[Array, "padded_frames joints 3"]:
-    coefficients = dequantise(jnp.asarray(levels), step_cm(index))
-    return positions_of(synthesise(coefficients, c.full, c.last, c.count - 1, coding.bases.synthesis))
+    """Joint positions in cm, before any fit."""
+    return synthesise(levels, step_cm(index), c.full, c.last, c.count - 1, coding.bases.synthesis)
 
 
 def _to_motion(
@@ -218,12 +219,10 @@ def _to_motion(
     unit_cm: float | None,
 ) -> Motion:
     """Rotations fitted to positions in cm; where joints have position channels of their own, the positions as they are."""
-    in_units = positions / scale
+    in_units = np.asarray(positions)[:frames] / np.float32(scale)
     if not recoverable(skeleton):
-        return Motion.from_positions(
-            np.asarray(in_units)[:frames], skeleton.names, frame_time, skeleton.parents, unit_cm
-        )
-    values = np.asarray(recover(skeleton, in_units, expected).values, np.float64)[:frames]
+        return Motion.from_positions(in_units, skeleton.names, frame_time, skeleton.parents, unit_cm)
+    values = recover(skeleton, in_units, expected).values.astype(np.float64)
     return Motion(skeleton, values, frame_time, unit_cm)
 
 

@@ -1,0 +1,59 @@
+"""Local rotations turned back into the channel values of a skeleton: what every way back to a Motion ends with."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Array, Float
+
+from .. import components as rot
+from ..skeleton import POSITION_CHANNELS, ROTATION_CHANNELS, Skeleton
+
+
+def rotation_order(channels: tuple[str, ...]) -> str:
+    """The axes of a joint's rotation channels, such as "ZYX"; empty where it has none."""
+    return "".join(c[0] for c in channels if c in ROTATION_CHANNELS)
+
+
+def has_euler_orders(skeleton: Skeleton) -> bool:
+    """True when no joint has more than three rotation channels, nor the same axis twice in a row."""
+    orders = [rotation_order(channels) for channels in skeleton.channels]
+    return all(len(o) <= 3 and all(a != b for a, b in zip(o, o[1:], strict=False)) for o in orders)
+
+
+def values_of(
+    skeleton: Skeleton, local: Float[Array, "3 3 joints frames"], translations: Float[Array, "3 joints frames"]
+) -> Float[Array, "frames channels"]:
+    """Channel values (degrees, file units) in file order of local rotations and translations, components in front.
+
+    `translations` is read only where a joint has position channels; a root's is its position. Joints with fewer than
+    three rotation channels keep the leading Euler angles of their rotation. `has_euler_orders` must hold. Takes numpy
+    arrays or JAX's.
+    """
+    xp = rot.namespace(local)
+    if skeleton.has_axes:
+        axes = xp.asarray(skeleton.axes, local.dtype).transpose(1, 2, 0)[..., None]
+        local = rot.multiply(rot.multiply(rot.transpose(axes), local), axes)
+    joints, frames = translations.shape[1:]
+    orders = [rotation_order(c) for c in skeleton.channels]
+    parts, rows = [translations.reshape(-1, frames)], 3 * joints
+    first_angle: dict[int, tuple[int, int]] = {}  # of every joint: the row of its first angle, and the step to the next
+    # One Euler conversion an order serves all joints that share it.
+    for order in sorted(set(orders) - {""}):
+        of_order = [j for j, o in enumerate(orders) if o == order]
+        # Angles about axes that a joint lacks are zero in its rotation, so any completing axis will do.
+        rest = "".join(a for a in "XYZ" if a not in order)
+        angles = rot.to_euler(local[:, :, np.array(of_order)], (order + rest)[:3])
+        parts.append(xp.rad2deg(angles).reshape(-1, frames))
+        first_angle |= {j: (rows + n, len(of_order)) for n, j in enumerate(of_order)}
+        rows += 3 * len(of_order)
+    columns = []
+    for j, channels in enumerate(skeleton.channels):
+        turns = 0
+        for c in channels:
+            if c in POSITION_CHANNELS:
+                columns.append(POSITION_CHANNELS.index(c) * joints + j)
+            else:
+                row, step = first_angle[j]
+                columns.append(row + turns * step)
+                turns += 1
+    return xp.concatenate(parts)[np.array(columns, int)].T
