@@ -103,7 +103,7 @@ def to_euler(r: Matrix, order: str) -> Vector:
     locked = across < nearly
     start = xp.where(locked, _safe_atan2(sign * r[k, j], r[j, j]), start)
     # Near the lock `start` is mostly rounding; the last angle is read after undoing it, and so makes up for it.
-    row = xp.cos(start) * r[j] + sign * xp.sin(start) * r[k]
+    row = xp.cos(start)[None] * r[j] + sign * xp.sin(start)[None] * r[k]
     end = _safe_atan2(-sign * row[k] if order[0] == order[2] else sign * row[i], row[j])
     return xp.stack([start, middle, xp.where(locked, 0.0, end)])
 
@@ -119,7 +119,7 @@ def cross(a: Vector, b: Vector) -> Vector:
 def normalise(v: Vector) -> Vector:
     """v / |v|; the zero vector stays zero."""
     xp = namespace(v)
-    n2 = dot(v, v)
+    n2 = dot(v, v)[None]
     return xp.where(n2 == 0, 0.0, v / xp.sqrt(xp.where(n2 == 0, 1.0, n2)))
 
 
@@ -131,12 +131,14 @@ def swing(a: Vector, b: Vector) -> Matrix:
     xp = namespace(b)
     a, b = xp.broadcast_arrays(normalise(a), normalise(b))
     along = dot(a, b)
-    opposite = along < -0.999999
+    # Beyond a right angle 1 + a.b cancels; |a + b|^2 / 2 is the same and does not.
+    w = xp.where(along < 0, dot(a + b, a + b) / 2, 1.0 + along)
+    opposite = (along < 0) & (w < np.finfo(a.dtype).eps)
     # The quaternion (1 + a.b, a x b), once normalised, turns a into b; where either is zero it is the identity.
     zero = xp.zeros_like(along)
     x_across, y_across = _vector([zero, a[2], -a[1]]), _vector([-a[2], zero, a[0]])
     across = xp.where(xp.abs(a[0]) < 0.6, x_across, y_across)
-    w = xp.where(opposite, 0.0, 1.0 + along)
+    w = xp.where(opposite, 0.0, w)
     x, y, z = xp.where(opposite, across, cross(a, b))
     s = 2.0 / (w * w + x * x + y * y + z * z)
     return _matrix([

@@ -102,18 +102,21 @@ _forward_jit = eqx.filter_jit(forward)
 def pose(motion: Motion) -> Pose:
     """Pose of every frame of a motion, in file units.
 
-    Frames are padded to few lengths, so that motions of a rig share few compiled programs.
+    Frames go through in blocks of few lengths, so that all motions of a rig share the same compiled programs.
     """
-    frames = motion.frame_count
-    values = np.zeros((padded_length(frames), motion.skeleton.channel_count))
-    values[:frames] = motion.values
-    return Pose(*(x[:frames] for x in _forward_jit(motion.skeleton, jnp.asarray(values))))
+    blocks = [_pose_of_block(motion, start) for start in range(0, motion.frame_count, _BLOCK)]
+    return blocks[0] if len(blocks) == 1 else Pose(*(jnp.concatenate(parts) for parts in zip(*blocks, strict=True)))
 
 
-def padded_length(frames: int) -> int:
-    """The next of four lengths an octave, and at least 64: few programs to compile, little work in vain."""
-    quarter = max(64, 1 << (frames - 1).bit_length()) // 8
-    return -(-frames // quarter) * quarter if frames > 64 else 64
+_BLOCK = 1024
+
+
+def _pose_of_block(motion: Motion, start: int) -> Pose:
+    values = motion.values[start : start + _BLOCK]
+    frames = len(values)
+    padded = np.zeros((max(64, 1 << (frames - 1).bit_length()), values.shape[1]))
+    padded[:frames] = values
+    return Pose(*(x[:frames] for x in _forward_jit(motion.skeleton, jnp.asarray(padded))))
 
 
 def positions_cm(motion: Motion) -> Float[Array, "frames joints 3"]:

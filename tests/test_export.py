@@ -18,6 +18,8 @@ from jaxmocap.codecs.artifact import Artifact, load_artifact, make_artifact, par
 from jaxmocap.codecs.base import Target
 from jaxmocap.codecs.clips import cut
 from jaxmocap.codecs.container import read_stream
+from jaxmocap.codecs.entropy.range_coder import PythonEncoder, RangeEncoder
+from jaxmocap.codecs.entropy.tables import FrequencyTable
 from jaxmocap.codecs.lsdt_clip import LsdtClip
 from jaxmocap.codecs.lsdt_model import LsdtModel
 from jaxmocap.codecs.quantise import STEPS, step_cm
@@ -103,8 +105,8 @@ def assert_same(artifact: Artifact, decoder: Path, data: bytes, folder: Path) ->
     np.testing.assert_allclose(theirs.bones, ours.bones, rtol=1e-12)
 
 
-def encoded(artifact: Artifact, motion: Motion, **settings) -> bytes:
-    return LsdtClip(artifact, target=Target("mean", 1.0), **settings).encode(motion)
+def encoded(artifact: Artifact, motion: Motion, mean: float = 1.0, **settings) -> bytes:
+    return LsdtClip(artifact, target=Target("mean", mean), **settings).encode(motion)
 
 
 @pytest.fixture(scope="module")
@@ -130,7 +132,8 @@ def test_c_decodes_bones_that_point_elsewhere_and_an_embedded_model(artifact, de
     motion = synthesis.walk(1, 0.7)
     s = motion.skeleton
     turned = type(s)(s.names, s.parents, s.offsets[:, [1, 2, 0]], s.channels, s.end_joints, s.end_offsets)
-    data = encoded(artifact, Motion(turned, motion.values, motion.frame_time), clip_frames=120, embed=True)
+    motion = Motion(turned, motion.values, motion.frame_time)
+    data = encoded(artifact, motion, 0.1, clip_frames=120, embed=True)
     header = read_stream(data).header
     assert header.skeleton[0] == 1 and header.model == artifact.data and header.unit_cm == 0
     assert_same(artifact, decoder, data, tmp_path)
@@ -187,8 +190,20 @@ def test_c_header_survives_hostile_names(artifact, build, tmp_path):
     (tmp_path / "lsdt_clip.h").write_bytes(export_model(hostile, "c"))
     source = tmp_path / "names.c"
     source.write_text('#include <stdio.h>\n#include "lsdt_clip.h"\nint main(void){return puts(lsdt_clip_names[0])<0;}')
-    program = build(str(source), ("cc", "gcc", "clang"), "-std=c99", f"-I{tmp_path}")
+    program = build(str(source), ("cc", "gcc", "clang"), "-std=c99")
     assert subprocess.run([program], capture_output=True, check=True).stdout.decode() == name + "\n"
+
+
+@pytest.mark.parametrize("encoder", [PythonEncoder, RangeEncoder])
+def test_example_of_the_specification(encoder):
+    coder, table = encoder(), FrequencyTable(np.array([40000, 20000, 5000, 536]))
+    for symbol in (0, 1, 2, 3, 0, 0, 1):
+        coder.encode(symbol, table)
+    coder.encode_bits(0b10110011100011, 14)
+    for symbol in (3, 3, 2):
+        coder.encode(symbol, table)
+    coder.encode_bits(1, 1)
+    assert coder.finish().hex() == "8ea3fa6ef2f945"
 
 
 def test_npz_round_trip(artifact):

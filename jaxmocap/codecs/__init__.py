@@ -1,0 +1,57 @@
+"""Codecs: a registry, and what opens any stream."""
+
+from __future__ import annotations
+
+from ..errors import UnsupportedVersion
+from ..motion import Motion
+from . import lsdt_clip
+from .artifact import Artifact
+from .artifact import load_artifact as load_artifact
+from .base import AbstractCodec as AbstractCodec
+from .base import Target as Target
+from .container import Header, read_stream
+from .lsdt_clip import LsdtClip as LsdtClip
+
+# Registering a codec is what has it tested: the laws in tests/test_codec_laws.py run over this table.
+CODECS: dict[str, type[AbstractCodec]] = {"lsdt-clip": LsdtClip}
+_BY_NUMBER = {lsdt_clip.NUMBER: ("lsdt-clip", lsdt_clip.decode)}
+DEFAULT = "lsdt-clip"
+
+
+def make(config: dict, artifact: Artifact | None = None) -> AbstractCodec:
+    """The codec of a `config()`; a setting left out takes its default. The model is the shipped one unless given.
+
+    Raises ValueError for an unknown codec, an unknown setting, or one out of range.
+    """
+    settings = dict(config)
+    name = settings.pop("codec", DEFAULT)
+    if name not in CODECS:
+        raise ValueError(f"codec is {name!r}, wanted one of {', '.join(CODECS)}")
+    if isinstance(settings.get("target"), dict):
+        settings["target"] = Target(**settings["target"])
+    try:
+        return CODECS[name](artifact=artifact or load_artifact(name), **settings)
+    except TypeError as error:
+        raise ValueError(f"{name} does not take these settings: {error}") from error
+
+
+def decode(data: bytes, artifact: Artifact | None = None, frames: slice | None = None) -> Motion:
+    """The motion of any stream, or some of its frames, for which only the chunks that hold them are read.
+
+    `artifact` is a model that the stream may need; shipped and embedded ones are found. Raises CorruptStream,
+    TruncatedStream, UnsupportedVersion or ModelMismatch, and ValueError for frames that are none.
+    """
+    stream = read_stream(data)
+    _, decode_stream = _entry(stream.header)
+    return decode_stream(stream, artifact, frames)
+
+
+def codec_name(header: Header) -> str:
+    """The id of the codec that a stream was written by. Raises UnsupportedVersion where it is not known here."""
+    return _entry(header)[0]
+
+
+def _entry(header: Header):
+    if header.codec not in _BY_NUMBER:
+        raise UnsupportedVersion(f"the stream was written by codec {header.codec}, which this jaxmocap lacks: upgrade")
+    return _BY_NUMBER[header.codec]

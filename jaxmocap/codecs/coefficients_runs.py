@@ -53,9 +53,14 @@ class Scan(NamedTuple):
 
 
 def scans(scale: Int[np.ndarray, "3 bands components"], length: int, frame_rate: int) -> list[Scan]:
-    """Large expected magnitudes first; of equal ones, low frequencies first."""
+    """Of every coordinate: large expected magnitudes first; of equal ones, low frequencies first."""
+    return _scans(scale.astype(np.int64).tobytes(), scale.shape, length, frame_rate)
+
+
+@functools.lru_cache(maxsize=32)
+def _scans(scale: bytes, shape: tuple[int, ...], length: int, frame_rate: int) -> list[Scan]:
     result = []
-    for of_coordinate in scale.astype(np.int64):
+    for of_coordinate in np.frombuffer(scale, np.int64).reshape(shape):
         flat = of_coordinate[bands(length, frame_rate)].ravel()
         order = np.argsort(-flat, kind="stable")
         result.append(Scan(order, flat[order]))
@@ -114,7 +119,7 @@ def encode_clips(
 
     previous: list[int | None] = [None, None, None]
     for levels, t in zip(clips, tables, strict=True):
-        for d, scan in enumerate(scans_of(t, levels.shape[1], frame_rate)):
+        for d, scan in enumerate(scans(t.scale, levels.shape[1], frame_rate)):
             s = symbols(levels[d], scan, step_index)
             symbol, raw, bits = (int(a[0]) for a in integers.split(np.array([s.count])))
             put(t.count[count_context(previous[d])], symbol, raw, bits)
@@ -138,7 +143,7 @@ def decode_clips(
     for length, t in zip(lengths, tables, strict=True):
         size = length * components
         levels = np.zeros((3, size), np.int32)
-        for d, scan in enumerate(scans_of(t, length, frame_rate)):
+        for d, scan in enumerate(scans(t.scale, length, frame_rate)):
             count = _get(coder, t.count[count_context(previous[d])])
             if count > size:
                 raise CorruptStream(f"a clip of {size} coefficients says that {count} are not zero")
@@ -169,13 +174,3 @@ def _get(coder, table: FrequencyTable) -> int:
     symbol = coder.decode(table)
     bits = integers.raw_bits(symbol)
     return integers.join(symbol, coder.decode_bits(bits)) if bits else symbol
-
-
-def scans_of(tables: RunTables, length: int, frame_rate: int) -> list[Scan]:
-    """`scans`, kept for the clip lengths of a stream."""
-    return _scans(tables.scale.tobytes(), tables.scale.shape, tables.scale.dtype.str, length, frame_rate)
-
-
-@functools.lru_cache(maxsize=32)
-def _scans(data: bytes, shape: tuple[int, ...], dtype: str, length: int, frame_rate: int) -> list[Scan]:
-    return scans(np.frombuffer(data, dtype).reshape(shape), length, frame_rate)

@@ -98,10 +98,11 @@ def fit_to_levels(coding: Coding, levels: Int[np.ndarray, "clips 3 frequencies c
     levels = levels[..., :used]
     # A level below one half counts as a quarter of a step: what is rounded to zero is not nothing.
     magnitude = np.maximum(np.abs(levels), 0.25)
-    octaves = np.log2(magnitude.mean((0, 2))), np.log2([magnitude[:, :, band == b].mean() for b in range(BANDS)])
-    step = index / PER_OCTAVE - 7
-    component_scale = np.clip(np.rint(4 * (octaves[0] + step)), -127, 127).astype(np.int8)
-    band_scale = np.clip(np.rint(4 * (octaves[1] - np.log2(magnitude.mean()))), -127, 127).astype(np.int8)
+    by_component = np.log2(magnitude.mean((0, 2))) + index / PER_OCTAVE - 7
+    held = np.unique(band)  # a clip has no frequency in some of the lowest bands
+    by_band = np.log2([magnitude[:, :, band == b].mean() / magnitude.mean() for b in held])
+    component_scale = np.clip(np.rint(4 * by_component), -127, 127).astype(np.int8)
+    band_scale = np.clip(np.rint(4 * np.interp(np.arange(BANDS), held, by_band)), -127, 127).astype(np.int8)
     positions = np.stack([code_lengths((levels[:, d] != 0).sum((0, 1))) for d in range(3)])
     return from_own(OwnBasis(own.entries[:, :used], component_scale, band_scale, positions), coding.model)
 

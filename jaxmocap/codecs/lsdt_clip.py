@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..errors import CorruptStream
-from ..features.recovery import recover, recoverable
+from ..features.recovery import freed, recover, recoverable
 from ..kinematics import pose, positions_cm
 from ..metrics import joint_error
 from ..motion import Motion
@@ -148,10 +148,7 @@ class _Source:
 
     @staticmethod
     def of(motion: Motion, model: LsdtModel, clip_frames: int) -> _Source:
-        if not recoverable(motion.skeleton):
-            s = motion.skeleton
-            positions = np.asarray(pose(motion).positions)
-            motion = Motion.from_positions(positions, s.names, motion.frame_time, s.parents, motion.unit_cm)
+        motion = _codable(motion)
         known = model.rig.skeleton.same_rig(motion.skeleton)
         scale = motion.unit_cm or (model.rig.unit_cm if known else 1.0)
         positions = np.asarray(positions_cm(motion)) / motion.scale * scale
@@ -197,6 +194,18 @@ class _Source:
         """Mean and maximum joint error of a decoded motion, in cm, or in file units where the unit is unknown."""
         mean, largest = _error(self.positions, pose(decoded).positions * self.scale)
         return mean * self.motion.scale / self.scale, largest * self.motion.scale / self.scale
+
+
+def _codable(motion: Motion) -> Motion:
+    """The motion with a skeleton that positions determine: limited joints are freed, moving bones become positions."""
+    s = motion.skeleton
+    if recoverable(s):
+        return motion
+    positions = np.asarray(pose(motion).positions)
+    if s.is_rigid and s.has_rotations:
+        free = freed(s)
+        return Motion(free, recover(free, positions).values.astype(np.float64), motion.frame_time, motion.unit_cm)
+    return Motion.from_positions(positions, s.names, motion.frame_time, s.parents, motion.unit_cm)
 
 
 def _error(positions: Float[np.ndarray, "frames joints 3"], decoded: Array) -> tuple[float, float]:

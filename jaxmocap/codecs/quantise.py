@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
@@ -28,6 +29,7 @@ def step_index(cm: float) -> int:
     return min(index, STEPS - 1)
 
 
+@jax.jit
 def quantise(coefficients: Float[Array, "..."], step: Float[Array, ""] | float) -> Int[Array, "..."]:
     """Hard threshold and uniform quantisation: the sign of c times floor(|c| / step + 0.33)."""
     magnitude = jnp.floor(jnp.abs(coefficients) / step + ROUNDING)

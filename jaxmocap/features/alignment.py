@@ -63,7 +63,7 @@ def heading(rotation: Float[Array, "... frames 3 3"]) -> Float[Array, "... frame
     return jnp.unwrap(_atan2(rotation[..., 0, 2] - rotation[..., 2, 0], rotation[..., 0, 0] + rotation[..., 2, 2]))
 
 
-def about_y(angle: Float[Array, "..."]) -> Float[Array, "... 3 3"]:
+def about_y(angle: Float[Array, " *batch"]) -> Float[Array, "*batch 3 3"]:
     """Rotation by `angle` radians about y."""
     return about_axis(jnp.array([0.0, 1.0, 0.0], angle.dtype), angle)
 
@@ -129,7 +129,7 @@ def _from_frame(positions: Array, rotation: Array, translation: Array) -> Array:
     return apply(rotation[..., None, :, :], positions) + translation[..., None, :]
 
 
-def _atan2(y: Float[Array, "..."], x: Float[Array, "..."]) -> Float[Array, "..."]:
+def _atan2(y: Float[Array, " *batch"], x: Float[Array, " *batch"]) -> Float[Array, " *batch"]:
     """atan2 whose gradient at (0, 0) is 0, not NaN."""
     zero = (x == 0) & (y == 0)
     return jnp.where(zero, 0.0, jnp.arctan2(jnp.where(zero, 0.0, y), jnp.where(zero, 1.0, x)))

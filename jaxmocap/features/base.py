@@ -5,11 +5,9 @@ from __future__ import annotations
 import abc
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .. import components as rot
 from ..motion import Motion
 from ..skeleton import Skeleton
 from .channels import values_of
@@ -41,13 +39,11 @@ class AbstractFeature(eqx.Module):
         if not mine.same_rig(its) or not np.array_equal(mine.offsets, its.offsets) or self.unit_cm != motion.unit_cm:
             raise ValueError("the motion has another skeleton or unit than the feature was made for")
 
-    def motion(self, values: Float[Array, "frames channels"]) -> Motion:
-        return Motion(self.skeleton, np.asarray(values, np.float64), self.frame_time, self.unit_cm)
-
-
-@eqx.filter_jit
-def local_values(
-    skeleton: Skeleton, local: Float[Array, "frames joints 3 3"], translations: Float[Array, "frames joints 3"]
-) -> Float[Array, "frames channels"]:
-    """`values_of` with frames in front."""
-    return values_of(skeleton, jnp.moveaxis(rot.first(local, 2), 2, 3), jnp.moveaxis(rot.first(translations, 1), 1, 2))
+    def motion(
+        self,
+        local: Float[Array | np.ndarray, "3 3 joints frames"],
+        translations: Float[Array | np.ndarray, "3 joints frames"],
+    ) -> Motion:
+        """The motion of local rotations and translations (file units); on the host, where nothing is compiled."""
+        values = np.asarray(values_of(self.skeleton, local, translations), np.float64)
+        return Motion(self.skeleton, values, self.frame_time, self.unit_cm)

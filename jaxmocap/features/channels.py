@@ -20,14 +20,35 @@ def has_euler_orders(skeleton: Skeleton) -> bool:
     return all(len(o) <= 3 and all(a != b for a, b in zip(o, o[1:], strict=False)) for o in orders)
 
 
+def angles_of(rotation: rot.Matrix, order: str) -> rot.Vector:
+    """Radians about the axes of a joint's channels, (channels, ...), of its rotation in the frame of those channels.
+
+    Exact where `order` can make the rotation. What fewer than three channels cannot make is dropped: the one angle is
+    that of the nearest rotation about its axis, and of two each is read where the other leaves no trace.
+    """
+    if len(order) == 3:
+        return rot.to_euler(rotation, order)
+    xp, r = rot.namespace(rotation), rotation
+    if not order:
+        return xp.zeros((0, *r.shape[2:]), r.dtype)
+    i = "XYZ".index(order[0])
+    if len(order) == 1:
+        j, k = (i + 1) % 3, (i + 2) % 3
+        return xp.arctan2(r[k, j] - r[j, k], r[j, j] + r[k, k])[None]
+    j = "XYZ".index(order[1])
+    k, sign = 3 - i - j, 1.0 if (j - i) % 3 == 1 else -1.0
+    return xp.stack([xp.arctan2(sign * r[k, j], r[j, j]), xp.arctan2(sign * r[i, k], r[i, i])])
+
+
 def values_of(
-    skeleton: Skeleton, local: Float[Array, "3 3 joints frames"], translations: Float[Array, "3 joints frames"]
-) -> Float[Array, "frames channels"]:
+    skeleton: Skeleton,
+    local: Float[Array | np.ndarray, "3 3 joints frames"],
+    translations: Float[Array | np.ndarray, "3 joints frames"],
+) -> Float[Array | np.ndarray, "frames channels"]:
     """Channel values (degrees, file units) in file order of local rotations and translations, components in front.
 
-    `translations` is read only where a joint has position channels; a root's is its position. Joints with fewer than
-    three rotation channels keep the leading Euler angles of their rotation. `has_euler_orders` must hold. Takes numpy
-    arrays or JAX's.
+    `translations` is read only where a joint has position channels; a root's is its position. `has_euler_orders` must
+    hold. Takes numpy arrays or JAX's.
     """
     xp = rot.namespace(local)
     if skeleton.has_axes:
@@ -40,12 +61,10 @@ def values_of(
     # One Euler conversion an order serves all joints that share it.
     for order in sorted(set(orders) - {""}):
         of_order = [j for j, o in enumerate(orders) if o == order]
-        # Angles about axes that a joint lacks are zero in its rotation, so any completing axis will do.
-        rest = "".join(a for a in "XYZ" if a not in order)
-        angles = rot.to_euler(local[:, :, np.array(of_order)], (order + rest)[:3])
+        angles = angles_of(local[:, :, np.array(of_order)], order)
         parts.append(xp.rad2deg(angles).reshape(-1, frames))
         first_angle |= {j: (rows + n, len(of_order)) for n, j in enumerate(of_order)}
-        rows += 3 * len(of_order)
+        rows += len(order) * len(of_order)
     columns = []
     for j, channels in enumerate(skeleton.channels):
         turns = 0

@@ -14,11 +14,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from .. import components as rot
 from ..kinematics import pose
 from ..motion import Motion
 from ..rotations import apply, from_sixd, multiply, transpose
 from ..skeleton import POSITION_CHANNELS, Skeleton
-from .base import AbstractFeature, local_values
+from .base import AbstractFeature
 from .channels import has_euler_orders, rotation_order
 
 
@@ -36,7 +37,7 @@ class Layout(NamedTuple):
     carrier: Int[np.ndarray, " joints"]  # which turning joint turns each joint's frame; their number means none does
 
     @property
-    def count(self) -> int:
+    def marker_count(self) -> int:
         return len(self.first_joint) + len(self.beside)
 
 
@@ -67,8 +68,10 @@ def layout(skeleton: Skeleton, arm: float) -> Layout:
         along.append(int(of_joint[child]) if length >= arm / 2 else add(j, arm * x))
         across.append(add(j, arm * z))
         rest.append(np.stack([x, z, np.cross(x, z)], -1))
-    counts = (of_joint, first_joint, beside, np.reshape(offset, (-1, 3)), turning, along, across)
-    return Layout(*map(np.asarray, counts), np.reshape(rest, (-1, 3, 3)), carrier)
+    return Layout(
+        of_joint, np.array(first_joint), np.array(beside, int), np.reshape(offset, (-1, 3)), np.array(turning, int),
+        np.array(along, int), np.array(across, int), np.reshape(rest, (-1, 3, 3)), carrier,
+    )
 
 
 def _places(skeleton: Skeleton) -> tuple[np.ndarray, list[int]]:
@@ -164,18 +167,13 @@ class Markers(AbstractFeature):
 
     def to_motion(self, matrix: Float[Array, "frames channels"]) -> Motion:
         """Raises ValueError where the matrix has not three columns a marker."""
-        columns = 3 * self.layout.count
+        columns = 3 * self.layout.marker_count
         if matrix.shape[1:] != (columns,):
             raise ValueError(f"matrix has shape {matrix.shape}, wanted (frames, {columns})")
         markers = jnp.reshape(matrix, (len(matrix), -1, 3)) / self.scale
-        return self.motion(_values(self.skeleton, *read_markers(self.layout, markers)))
-
-
-@eqx.filter_jit
-def _values(skeleton: Skeleton, positions: Array, rotations: Array) -> Array:
-    parent = np.array(skeleton.parents)
-    is_root = parent < 0
-    up = jnp.where(is_root[:, None, None], jnp.eye(3, dtype=rotations.dtype), rotations[:, parent])
-    above = jnp.where(is_root[:, None], 0.0, positions[:, parent])
-    back = transpose(up)
-    return local_values(skeleton, multiply(back, rotations), apply(back, positions - above))
+        seen = read_markers(self.layout, markers)
+        positions, rotations = (np.asarray(x).transpose(*range(2, x.ndim), 1, 0) for x in seen)
+        is_root, parent = np.array(self.skeleton.parents) < 0, np.array(self.skeleton.parents)
+        up = np.where(is_root[:, None], rot.identity(rotations.shape[2:], rotations), rotations[:, :, parent])
+        bones = positions - np.where(is_root[:, None], 0.0, positions[:, parent]).astype(positions.dtype)
+        return self.motion(rot.multiply(rot.transpose(up), rotations), rot.apply(rot.transpose(up), bones))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
@@ -38,8 +37,9 @@ class Positions(AbstractFeature):
         columns = 3 * self.skeleton.joint_count
         if matrix.shape[1:] != (columns,):
             raise ValueError(f"matrix has shape {matrix.shape}, wanted (frames, {columns})")
-        positions = jnp.reshape(matrix, (len(matrix), -1, 3)) / self.scale
+        positions = np.asarray(matrix).reshape(len(matrix), -1, 3) / self.scale
         if recoverable(self.skeleton) and self.skeleton.has_rotations:
-            return self.motion(recover(self.skeleton, positions).values)
+            values = np.asarray(recover(self.skeleton, positions).values, np.float64)
+            return Motion(self.skeleton, values, self.frame_time, self.unit_cm)
         names, parents = self.skeleton.names, self.skeleton.parents
-        return Motion.from_positions(np.asarray(positions), names, self.frame_time, parents, self.unit_cm)
+        return Motion.from_positions(positions, names, self.frame_time, parents, self.unit_cm)

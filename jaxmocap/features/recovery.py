@@ -1,7 +1,8 @@
 """Rotations recovered from joint positions alone, by closed fits down the tree.
 
-Where a joint holds several bones their common rotation is fitted (Kabsch 1976); where it holds one, the smallest swing
-from the expected pose turns that bone; a leaf keeps its expected rotation, and with it the twist that no position shows.
+Where a joint holds several bones their common rotation is fitted (Kabsch 1976); where it holds one, the smallest
+swing from the expected pose turns that bone; a leaf keeps its expected rotation, and with it the twist that no position
+shows.
 """
 
 from __future__ import annotations
@@ -13,13 +14,26 @@ from jaxtyping import Float
 
 from .. import components as rot
 from ..skeleton import POSITION_CHANNELS, Skeleton
-from .channels import has_euler_orders, rotation_order, values_of
+from .channels import angles_of, has_euler_orders, rotation_order, values_of
 
 
 def recoverable(skeleton: Skeleton) -> bool:
-    """True when positions determine channels: roots move freely, bones are rigid, and rotations have an Euler order."""
+    """True when positions determine channels: bones are rigid, roots move, and joints that turn bones turn freely."""
     roots_move = all(set(POSITION_CHANNELS) <= set(skeleton.channels[r]) for r in skeleton.roots)
-    return skeleton.is_rigid and roots_move and has_euler_orders(skeleton)
+    turning = [len(rotation_order(skeleton.channels[j])) for j, children in enumerate(skeleton.children) if children]
+    return skeleton.is_rigid and roots_move and all(n == 3 for n in turning) and has_euler_orders(skeleton)
+
+
+def freed(skeleton: Skeleton) -> Skeleton:
+    """The same bones with three rotation channels on every joint, and position channels on the roots.
+
+    What BVH conversions of ASF do: a hinge would ask its parent for just the right twist, which positions with an
+    error no longer give.
+    """
+    turns = ("Zrotation", "Yrotation", "Xrotation")
+    channels = [POSITION_CHANNELS + turns if parent < 0 else turns for parent in skeleton.parents]
+    s = skeleton
+    return Skeleton(s.names, s.parents, s.offsets, channels, s.end_joints, s.end_offsets)
 
 
 class Recovered(NamedTuple):
@@ -59,7 +73,7 @@ def recover(
         turned = _turn(predicted, bones)
         local[:, :, j] = _allowed(skeleton, j, rot.multiply(rot.transpose(above), turned))
         world[:, :, j] = rot.multiply(above, local[:, :, j])
-    return Recovered(values_of(skeleton, local, seen), placed.transpose(2, 1, 0))
+    return Recovered(np.asarray(values_of(skeleton, local, seen)), placed.transpose(2, 1, 0))
 
 
 def _targets(skeleton: Skeleton, joint: int, assumed: np.ndarray) -> list[tuple[int, np.ndarray]]:
@@ -80,7 +94,7 @@ def _targets(skeleton: Skeleton, joint: int, assumed: np.ndarray) -> list[tuple[
 # Inside, components lead and frames trail, (3, 3, frames): see components.py.
 
 
-def _turn(predicted: np.ndarray, bones: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+def _turn(predicted: rot.Matrix, bones: list[tuple[np.ndarray, np.ndarray]]) -> rot.Matrix:
     """The global rotation that brings the bones, given by place and by where their ends were seen, nearest to those."""
     if not bones:
         return predicted
@@ -92,27 +106,18 @@ def _turn(predicted: np.ndarray, bones: list[tuple[np.ndarray, np.ndarray]]) -> 
     return rot.multiply(rot.swing(bone, bones[longest][1]), predicted)
 
 
-def _kabsch(places: Float[np.ndarray, "bones 3"], seen: Float[np.ndarray, "bones 3 frames"]) -> np.ndarray:
+def _kabsch(places: Float[np.ndarray, "bones 3"], seen: Float[np.ndarray, "bones 3 frames"]) -> rot.Matrix:
     """The rotation that brings all bones of a joint nearest to where their ends were seen."""
     u, _, vt = np.linalg.svd(np.einsum("bif,bk->fik", seen, places.astype(seen.dtype)))
     u[..., -1] *= np.sign(np.linalg.det(u @ vt))[:, None]
     return rot.first(u @ vt, 2)
 
 
-def _allowed(skeleton: Skeleton, joint: int, local: np.ndarray) -> np.ndarray:
+def _allowed(skeleton: Skeleton, joint: int, local: rot.Matrix) -> rot.Matrix:
     """The part of a local rotation that the joint's channels can make: all of it with three rotation channels."""
     order = rotation_order(skeleton.channels[joint])
     if len(order) == 3:
         return local
     axes = skeleton.axes[joint, :, :, None].astype(local.dtype)
     own = rot.multiply(rot.multiply(rot.transpose(axes), local), axes)
-    if len(order) == 2:
-        third = ({"X", "Y", "Z"} - set(order)).pop()
-        angles = rot.to_euler(own, order + third)[:2]
-    elif len(order) == 1:
-        i = "XYZ".index(order)
-        j, k = (i + 1) % 3, (i + 2) % 3
-        angles = np.arctan2(own[k, j] - own[j, k], own[j, j] + own[k, k])[None]
-    else:
-        angles = np.zeros((0, local.shape[2]), local.dtype)
-    return rot.multiply(rot.multiply(axes, rot.from_euler(angles, order)), rot.transpose(axes))
+    return rot.multiply(rot.multiply(axes, rot.from_euler(angles_of(own, order), order)), rot.transpose(axes))

@@ -11,7 +11,7 @@ from ..kinematics import local_rotations, pose
 from ..motion import Motion
 from ..rotations import from_rotation_vector, multiply, to_rotation_vector, transpose
 from ..skeleton import Skeleton
-from .base import AbstractFeature, local_values
+from .base import AbstractFeature
 from .channels import has_euler_orders, rotation_order
 
 
@@ -57,7 +57,14 @@ class RotationVectors(AbstractFeature):
         columns = 3 * (len(self.skeleton.roots) + len(self.mean))
         if matrix.shape[1:] != (columns,):
             raise ValueError(f"matrix has shape {matrix.shape}, wanted (frames, {columns})")
-        return self.motion(_values(self.skeleton, self.mean, matrix, self.scale))
+        roots = len(self.skeleton.roots)
+        triples = jnp.reshape(matrix, (len(matrix), -1, 3))
+        turned = np.asarray(_from_mean(self.mean, triples[:, roots:]))
+        local = np.tile(np.eye(3, dtype=turned.dtype)[..., None, None], (self.skeleton.joint_count, len(matrix)))
+        local[:, :, _turning(self.skeleton)] = turned.transpose(2, 3, 1, 0)
+        translations = np.zeros_like(local[0])
+        translations[:, np.array(self.skeleton.roots)] = np.asarray(triples[:, :roots]).transpose(2, 1, 0) / self.scale
+        return self.motion(local, translations)
 
 
 def _turning(skeleton: Skeleton) -> np.ndarray:
@@ -72,17 +79,10 @@ _local_rotations = eqx.filter_jit(local_rotations)
 
 
 @eqx.filter_jit
-def _about_mean(mean: Array, rotations: Array) -> Array:
-    return to_rotation_vector(multiply(transpose(mean)[None], rotations))
+def _about_mean(mean: np.ndarray, rotations: Array) -> Array:
+    return to_rotation_vector(multiply(transpose(jnp.asarray(mean))[None], rotations))
 
 
 @eqx.filter_jit
-def _values(skeleton: Skeleton, mean: Array, matrix: Array, scale: float) -> Array:
-    triples = matrix.reshape(len(matrix), -1, 3)
-    roots = len(skeleton.roots)
-    turning = multiply(jnp.asarray(mean, matrix.dtype)[None], from_rotation_vector(triples[:, roots:]))
-    still = jnp.broadcast_to(jnp.eye(3, dtype=matrix.dtype), (len(matrix), skeleton.joint_count, 3, 3))
-    local = still.at[:, _turning(skeleton)].set(turning)
-    at_roots = jnp.zeros((len(matrix), skeleton.joint_count, 3), matrix.dtype)
-    translations = at_roots.at[:, np.array(skeleton.roots)].set(triples[:, :roots] / scale)
-    return local_values(skeleton, local, translations)
+def _from_mean(mean: np.ndarray, vectors: Array) -> Array:
+    return multiply(jnp.asarray(mean, vectors.dtype)[None], from_rotation_vector(vectors))

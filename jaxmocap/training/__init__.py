@@ -1,1 +1,13 @@
 """Learning transforms from corpora, and keeping them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from ..codecs.artifact import Artifact
+from .corpus import Corpus as Corpus
+from .lsdt import train_lsdt as train_lsdt
+
+# By codec id: from a corpus and a checkpoint to a model and its report.
+TRAINERS: dict[str, Callable[[Corpus, Path], tuple[Artifact, dict]]] = {"lsdt-clip": train_lsdt}

@@ -1,4 +1,4 @@
-"""Models for programs that are not Python: one self-contained C header, or npz; docs/format.md says what the arrays mean."""
+"""Models for programs that are not Python: a self-contained C header, or npz; docs/format.md says what is in them."""
 
 from __future__ import annotations
 
@@ -15,10 +15,7 @@ from ..codecs.quantise import PER_OCTAVE, STEPS, step_cm
 
 KINDS = ("safetensors", "npz", "c")
 
-_C_TYPES = {
-    "float64": "double", "float32": "float", "uint8": "uint8_t", "uint16": "uint16_t", "uint32": "uint32_t",
-    "int8": "int8_t", "int16": "int16_t", "int32": "int32_t",
-}  # fmt: skip
+_C_TYPES = {"float64": "double", "float32": "float"}  # integers are called as in Python, with _t
 _LINE = 116
 
 # What the arrays of `lsdt-clip` mean, by tensor name with * for the clip length.
@@ -118,7 +115,7 @@ def _array(name: str, values: np.ndarray, meaning: str) -> str:
     if not values.size:
         return f"/* {name} ({shape}) is empty: {meaning} */"
     sizes = "".join(f"[{n}]" for n in values.shape) or "[1]"
-    c_type = _C_TYPES[values.dtype.name]
+    c_type = _C_TYPES.get(values.dtype.name, f"{values.dtype.name}_t")
     return f"/* ({shape}) {meaning} */\nstatic const {c_type} {name}{sizes} =\n{_braced(np.atleast_1d(values))};"
 
 
@@ -134,7 +131,8 @@ def _number(value: np.generic) -> str:
 
 
 def _strings(name: str, texts: Sequence[str], meaning: str) -> str:
-    return f"/* {meaning} */\nstatic const char *const {name}[{len(texts)}] =\n{{{_wrapped(list(map(_literal, texts)))}}};"
+    literals = _wrapped([_literal(text) for text in texts])
+    return f"/* {meaning} */\nstatic const char *const {name}[{len(texts)}] =\n{{{literals}}};"
 
 
 def _literal(text: str) -> str:

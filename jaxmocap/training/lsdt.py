@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 from pathlib import Path
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -37,19 +38,21 @@ _ITERATIONS_AN_ITEM = 50
 STEP_INDICES = range(4 * PER_OCTAVE + PER_OCTAVE // 2, STEPS, PER_OCTAVE)
 
 
-def train_lsdt(corpus: Corpus, checkpoint: Path) -> tuple[Artifact, dict]:
-    """The model of a corpus of one rig, and a report: the objective's curve, and bits against distortion by step.
+def train_lsdt(corpus: Corpus, checkpoint: Path, sparsity: int = SPARSITY) -> tuple[Artifact, dict]:
+    """The model of a corpus of one rig, and a report: the objective's curve, and nonzero coefficients by step.
+
+    `sparsity` is P, the nonzero coefficients a frame and coordinate that the bases are learned for; 8 is the paper's best.
 
     Raises FormatError where the corpus has several rigs, or one whose joints cannot be told from positions.
     """
-    trainer = _Trainer(corpus)
-    state = run(trainer.stages(), checkpoint, f"lsdt-clip {corpus.digest()}")
+    trainer = _Trainer(corpus, sparsity)
+    state = run(trainer.stages(), checkpoint, f"lsdt-clip {corpus.digest()} {sparsity}")
     model = trainer.model(state)
     spec = {
         "codec": "lsdt-clip",
         "corpus": corpus.digest(),
         "rig": model.rig.spec(),
-        "sparsity": SPARSITY,
+        "sparsity": sparsity,
         "iterations": ITERATIONS,
     }
     artifact = make_artifact(spec, model.tensors())
@@ -68,7 +71,7 @@ def train_lsdt(corpus: Corpus, checkpoint: Path) -> tuple[Artifact, dict]:
 class _Trainer:
     """The stages, each a fold over the files of the corpus; every number that they pass on lies in the state."""
 
-    def __init__(self, corpus: Corpus):
+    def __init__(self, corpus: Corpus, sparsity: int):
         rigs = corpus.rigs()
         skeleton = rigs[0][0]
         if len(rigs) > 1:
@@ -77,6 +80,7 @@ class _Trainer:
         if not recoverable(skeleton):
             raise FormatError(f"{corpus.files[0]}: joints move along their bones in this rig; lsdt-clip needs rigid bones")
         self.corpus = corpus
+        self.sparsity = sparsity
         self.skeleton = skeleton
         self.joints = skeleton.joint_count
 
@@ -97,7 +101,8 @@ class _Trainer:
         """Frame counts, bones and mean rotations; frames for the bases are taken at an even pace over the corpus."""
         motion = self.corpus.motion(self.corpus.files[item])
         positions = self._positions(item)
-        turned = local_rotations(motion.skeleton, jnp.asarray(motion.values[:: max(1, motion.frame_count // 256)]))
+        chosen = np.linspace(0, motion.frame_count - 1, 256).astype(int)
+        turned = _local_rotations(motion.skeleton, jnp.asarray(motion.values[chosen]))
         bones = np.concatenate([motion.skeleton.offsets, motion.skeleton.end_offsets])
         return {
             "frames": np.append(state.get("frames", np.zeros(0, np.int64)), motion.frame_count),
@@ -111,7 +116,7 @@ class _Trainer:
         kept = state["kept"]
         chosen = kept[np.linspace(0, len(kept) - 1, min(SAMPLES, len(kept))).astype(int)]
         samples = jnp.asarray(np.ascontiguousarray(chosen.transpose(2, 0, 1)))
-        part = growing(min(SPARSITY, self.joints), ITERATIONS).reshape(-1, _ITERATIONS_AN_ITEM)[item]
+        part = growing(min(self.sparsity, self.joints), ITERATIONS).reshape(-1, _ITERATIONS_AN_ITEM)[item]
         start = state.get("basis")
         if start is None:
             start = np.tile(dct_matrix(self.joints).astype(np.float32), (3, 1, 1))
@@ -142,22 +147,21 @@ class _Trainer:
         for frames in CLIP_FRAMES:
             seen = _Seen.of(state, frames, self.joints)
             scale = _scale(state, frames)
-            for chunk in self._chunks(state, item, frames):
-                if nearest(chunk[-1].shape[1]) != frames:
-                    chunk = chunk[:-1]
-                for n, index in enumerate(STEP_INDICES):
-                    levels = [np.asarray(quantise(clip, step_cm(index)), np.int64) for clip in map(jnp.asarray, chunk)]
-                    seen.add(levels, scale, index, self._frame_rate(state))
+            for n, index in enumerate(STEP_INDICES):
+                for chunk in self._chunks(state, item, frames, index):
+                    seen.add([c for c in chunk if nearest(c.shape[1]) == frames], scale, index, self._frame_rate(state))
                     if frames == CLIP_FRAMES[-1]:
-                        state.setdefault("seen.nonzeros", np.zeros(len(STEP_INDICES)))[n] += sum((v != 0).sum() for v in levels)
+                        nonzeros = sum(int((c != 0).sum()) for c in chunk)
+                        state.setdefault("seen.nonzeros", np.zeros(len(STEP_INDICES)))[n] += nonzeros
         return state
 
-    def _chunks(self, state: State, item: int, frames: int) -> list[list[np.ndarray]]:
-        """The coefficients of a file's clips (3, frequencies, components), chunk by chunk."""
+    def _chunks(self, state: State, item: int, frames: int, index: int | None = None) -> list[list[np.ndarray]]:
+        """The coefficients of a file's clips (3, frequencies, components), chunk by chunk; or their levels at a step."""
         positions = self._positions(item)
         c = cut(len(positions), frames)
-        coefficients = np.asarray(analyse(to_clips(positions, c), c.full, c.last, c.count - 1, state["basis"]))
-        clips = [coefficients[n, :, :length] for n, length in enumerate(c.lengths)]
+        coefficients = analyse(to_clips(positions, c), c.full, c.last, c.count - 1, state["basis"])
+        values = np.asarray(coefficients if index is None else quantise(coefficients, step_cm(index)))
+        clips = [values[n, :, :length] for n, length in enumerate(c.lengths)]
         return [clips[n : n + CHUNK_CLIPS] for n in range(0, len(clips), CHUNK_CLIPS)]
 
     def _frame_rate(self, state: State) -> int:
@@ -175,6 +179,9 @@ class _Trainer:
         tables = {f: _Seen.of(state, f, self.joints).tables(_scale(state, f)) for f in CLIP_FRAMES}
         codes = {f: _Seen.of(state, f, self.joints).codes() for f in CLIP_FRAMES}
         return LsdtModel(rig, Bases(state["basis"], state["basis"]), tables, codes)
+
+
+_local_rotations = eqx.filter_jit(local_rotations)
 
 
 @functools.lru_cache(maxsize=2)

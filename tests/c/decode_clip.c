@@ -221,5 +221,9 @@ int main(int argc, char **argv) {
     save(argv[2], positions, values * sizeof *positions);
     save(argv[3], levels, values * sizeof *levels);
     save(argv[4], bones, sizeof bones);
+    free(positions);
+    free(levels);
+    free(s.chunks);
+    free((void *)file.data);
     return 0;
 }

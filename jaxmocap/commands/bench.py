@@ -1,0 +1,42 @@
+"""`jaxmocap bench`: the papers' tables and figures, side by side with peers, on this machine."""
+
+from __future__ import annotations
+
+import os
+import platform
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import tyro
+
+from .base import Command, Report
+
+
+@dataclass(kw_only=True)
+class Bench(Command):
+    """Measure on real motion."""
+
+    names: tyro.conf.Positional[tuple[Literal["lsdt"], ...]]
+    """What to measure."""
+    data: Path | None = None
+    """The folder with cmu_bvh. Default: JAXMOCAP_DATA, or ../shared/data."""
+    output: Path | None = None
+    """A folder for the report (JSON) and the plots (PNG)."""
+
+    def run(self) -> Report:
+        from ..bench import BENCHES
+        from ..bench.data import data_folder
+
+        folder = data_folder(self.data)
+        results: Report = {"machine": {"cores": os.cpu_count(), "python": platform.python_version()}}
+        for name in self.names:
+            results[name] = BENCHES[name].measure(folder)
+            if self.output is not None:
+                BENCHES[name].save(results[name], self.output)
+        return results
+
+    def text(self, report: Report) -> str:
+        from ..bench import BENCHES
+
+        return "\n\n".join(BENCHES[name].text(report[name]) for name in self.names)

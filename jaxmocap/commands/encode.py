@@ -1,0 +1,114 @@
+"""`jaxmocap encode`: a motion file to a stream."""
+
+from __future__ import annotations
+
+import json as json_module
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from ..errors import JaxmocapError
+from .base import Command, Input, Output, Report, load_model, table, unit_name, without_first
+
+if TYPE_CHECKING:
+    from ..codecs.base import Target
+
+
+@dataclass(kw_only=True)
+class Encode(Command):
+    """Compress a motion file."""
+
+    input: Input
+    """BVH, AMC (with its ASF beside it), TRC or npz."""
+    output: Output
+    """The stream to write."""
+    codec: str = "lsdt-clip"
+    """The codec."""
+    model: Path | None = None
+    """A trained model: a file, or the id of a shipped one. Default: the one shipped for the codec."""
+    mean_error: float | None = None
+    """The mean joint error to keep, in cm (in file units where the unit is unknown). Default: 0.5 % of the figure's height."""
+    max_error: float | None = None
+    """The error that no joint of any frame may exceed, in cm."""
+    step: float | None = None
+    """The quantiser step, in cm, instead of an error."""
+    unit_cm: float | None = None
+    """Centimetres per file unit: BVH does not say. 5.6444 for the CMU conversions."""
+    start: int = 0
+    """Leave out so many frames at the front: 1 for the T-pose of the CMU conversions."""
+    config: str = "{}"
+    """Settings of the codec, as JSON: {"clip_frames": 60, "form": "paper"}."""
+    embed_model: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Put the model into the stream."""
+
+    def run(self) -> Report:
+        from ..codecs import make
+        from ..formats import read_motion
+        from ..formats.text import write_bytes
+        from ..metrics import compare
+
+        settings = self._settings()
+        motion = without_first(read_motion(self.input, self.unit_cm), self.start, self.input.name)
+        began = time.perf_counter()
+        try:
+            codec = make(settings, load_model(self.model))
+        except ValueError as error:
+            raise JaxmocapError(str(error)) from error
+        data = codec.encode(motion)
+        seconds = time.perf_counter() - began
+        error = compare(motion, codec.decode(data))
+        write_bytes(self.output, data)
+        raw_bytes = motion.frame_count * motion.skeleton.joint_count * 12
+        return {
+            "codec": self.codec,
+            "frames": motion.frame_count,
+            "joints": motion.skeleton.joint_count,
+            "raw_bytes": raw_bytes,
+            "text_bytes": self.input.stat().st_size,
+            "stream_bytes": len(data),
+            "ratio": raw_bytes / len(data),
+            "unit": unit_name(motion),
+            "mean_cm": error["mean_cm"],
+            "max_cm": error["max_cm"],
+            "seconds": seconds,
+        }
+
+    def text(self, report: Report) -> str:
+        unit = report["unit"]
+        return table([
+            (str(self.output), f"{report['stream_bytes']:,} bytes, {report['ratio']:.1f}:1 of float32 positions"),
+            ("frames", report["frames"]),
+            (f"mean error, {unit}", report["mean_cm"]),
+            (f"max error, {unit}", report["max_cm"]),
+            ("seconds", report["seconds"]),
+        ])
+
+    def _settings(self) -> dict:
+        try:
+            settings = json_module.loads(self.config)
+        except ValueError as error:
+            raise JaxmocapError(f"--config is no JSON: {error}") from error
+        if not isinstance(settings, dict):
+            raise JaxmocapError('--config is not a JSON object such as {"clip_frames": 60}')
+        settings["codec"] = self.codec
+        target = self._target()
+        if target is not None:
+            settings["target"] = target
+        if self.embed_model:
+            settings["embed"] = True
+        return settings
+
+    def _target(self) -> Target | None:
+        from ..codecs.base import Target
+
+        asked = {"mean": self.mean_error, "max": self.max_error, "step": self.step}
+        given = [(kind, cm) for kind, cm in asked.items() if cm is not None]
+        if len(given) > 1:
+            raise JaxmocapError("give one of --mean-error, --max-error and --step")
+        try:
+            return Target(*given[0]) if given else None  # type: ignore[arg-type]
+        except ValueError as error:
+            raise JaxmocapError(str(error)) from error
