@@ -98,7 +98,7 @@ def _write_escaped(writer: BitWriter, value: int) -> None:
         symbol, raw, bits = (int(a) for a in integers.split(np.array(beyond)))
         writer.write(symbol, 6)
         writer.write(raw, bits)
-        writer.write(int(value > 0), 1)
+        writer.write(int(value < 0), 1)
 
 
 def _read_value(reader: BitReader, code: HuffmanCode) -> int:
@@ -110,4 +110,4 @@ def _read_value(reader: BitReader, code: HuffmanCode) -> int:
     if symbol >= integers.SYMBOLS:
         raise CorruptStream("a chunk holds a value that no encoder wrote")
     magnitude = integers.join(symbol, reader.read(integers.raw_bits(symbol))) + _LARGEST + 1
-    return magnitude if reader.read(1) else -magnitude
+    return -magnitude if reader.read(1) else magnitude

@@ -45,6 +45,11 @@ def bands(length: int, frame_rate: int) -> Int[np.ndarray, " frequencies"]:
     return np.where(k == 0, 0, 1 + np.clip(half_octaves - 2, 0, BANDS - 2))
 
 
+def frame_rate(frame_time: float) -> int:
+    """Whole frames a second, at least one: what the bands go by."""
+    return max(1, round(1 / frame_time))
+
+
 class Scan(NamedTuple):
     """The order in which a clip's coefficients of one coordinate are coded, and the scale of each in that order."""
 

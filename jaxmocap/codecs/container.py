@@ -1,7 +1,7 @@
 """The `.jmc` stream: a header, a skeleton, an optional model, and chunks that decode one by one (docs/format.md).
 
-The header is as short as it can be, since short clips are the common case: a stream of one chunk spends 20 bytes on
-all that is neither skeleton nor coded motion. Every chunk's CRC-32 runs over the header, too, so that no byte of the
+The header is as short as it can be, since short clips are the common case: a stream of one chunk spends 20 bytes at most
+on all that is neither skeleton nor coded motion. Every chunk's CRC-32 runs over the header, too, so that no byte of the
 file is unprotected.
 """
 
@@ -92,7 +92,7 @@ def write_stream(header: Header, chunks: list[bytes]) -> bytes:
     out += struct.pack("<d", header.unit_cm) if unit == _UNIT_STATED else b""
     out += varint(len(header.skeleton)) + header.skeleton
     out += varint(len(header.model)) + header.model if header.model is not None else b""
-    out += b"".join(varint(len(c)) for c in chunks)
+    out += b"".join(varint(len(c)) for c in chunks) if many else b""
     header_crc = zlib.crc32(out)
     for payload in chunks:
         out += payload + struct.pack("<I", zlib.crc32(payload, header_crc))
@@ -142,9 +142,12 @@ def _read_checked(reader: ByteReader) -> Stream:
     skeleton = reader.take(reader.varint())
     model = reader.take(reader.varint()) if flags & _MODEL_EMBEDDED else None
     header = Header(codec & 31, params, frames, chunk_frames, skeleton, digest, model, frame_time, unit_cm)
-    if header.chunk_count > reader.left:
-        reader.take(header.chunk_count)  # a length a chunk, at least: says how many bytes are missing
-    lengths = [reader.varint() for _ in range(header.chunk_count)]
+    if flags & _MANY_CHUNKS:
+        if header.chunk_count > reader.left:
+            reader.take(header.chunk_count)  # a length a chunk, at least: says how many bytes are missing
+        lengths = [reader.varint() for _ in range(header.chunk_count)]
+    else:
+        lengths = [max(reader.left - 4, 0)]  # a single chunk is all the rest
     header_crc = zlib.crc32(reader.data[: reader.at])
     spans = []
     for length in lengths:
@@ -157,6 +160,6 @@ def _read_checked(reader: ByteReader) -> Stream:
 
 
 def _positive(value: float, name: str) -> float:
-    if not 0 < value < 1e9:
+    if not 1e-9 < value < 1e9:
         raise CorruptStream(f"the header gives a {name} of {value}")
     return value

@@ -20,7 +20,7 @@ from .bitstream import ByteReader, varint
 from .clips import Bases
 from .coefficients_paper import PaperCodes
 from .coefficients_runs import BANDS, RunTables
-from .entropy.huffman import code_lengths
+from .entropy.huffman import HuffmanCode, code_lengths
 from .lsdt_model import LsdtModel, nearest
 from .quantise import PER_OCTAVE
 
@@ -32,12 +32,16 @@ _PER_SCALE = PER_OCTAVE // 4  # scales travel in quarter octaves
 
 @dataclass(frozen=True)
 class OwnBasis:
-    """A basis as it travels: entries in 1/127, and expected magnitudes as the sum of one number a component and one a band."""
+    """A basis as it travels: entries in 1/127, and what each form needs to code its coefficients.
+
+    `runs` needs expected magnitudes, the sum of one number a component and one a band; `paper` the lengths of the
+    position codes.
+    """
 
     entries: Int[np.ndarray, "3 components joints"]
-    component_scale: Int[np.ndarray, "3 components"]
-    band_scale: Int[np.ndarray, " bands"]
-    position_lengths: Int[np.ndarray, "3 components"]
+    component_scale: Int[np.ndarray, "3 components"] | None = None
+    band_scale: Int[np.ndarray, " bands"] | None = None
+    position_lengths: Int[np.ndarray, "3 components"] | None = None
 
 
 @dataclass(frozen=True)
@@ -54,14 +58,16 @@ class Coding:
 
     def tables(self, length: int) -> RunTables:
         tables = self.model.tables[nearest(length)]
-        if self.own is None:
+        if self.own is None or self.own.component_scale is None or self.own.band_scale is None:
             return tables
-        scale = self.own.component_scale[:, None, :] + self.own.band_scale[None, :, None]
+        scale = self.own.component_scale[:, None, :].astype(np.int64) + self.own.band_scale[None, :, None]
         return RunTables(scale * _PER_SCALE, tables.count, tables.run, tables.value)
 
     def codes(self, length: int) -> PaperCodes:
         codes = self.model.codes[nearest(length)]
-        return codes if self.own is None else PaperCodes(self.own.position_lengths, codes.value)
+        if self.own is None or self.own.position_lengths is None:
+            return codes
+        return PaperCodes(self.own.position_lengths, codes.value)
 
 
 def known(model: LsdtModel) -> Coding:
@@ -79,8 +85,7 @@ def fit(positions: Float[np.ndarray, "frames joints 3"], model: LsdtModel) -> Co
     energy = (np.einsum("dij,dnj->din", basis, samples) ** 2).sum(-1)
     order = np.argsort(-energy, axis=1)
     entries = np.rint(np.take_along_axis(basis, order[:, :, None], 1) * _ENTRY_STEPS).astype(np.int8)
-    nothing = np.zeros(entries.shape[:2], np.int8)
-    return from_own(OwnBasis(entries, nothing, np.zeros(BANDS, np.int8), nothing + 1), model)
+    return from_own(OwnBasis(entries), model)
 
 
 def from_own(own: OwnBasis, model: LsdtModel) -> Coding:
@@ -107,20 +112,22 @@ def fit_to_levels(coding: Coding, levels: Int[np.ndarray, "clips 3 frequencies c
     return from_own(OwnBasis(own.entries[:, :used], component_scale, band_scale, positions), coding.model)
 
 
-def write_own(own: OwnBasis) -> bytes:
-    """The basis as it follows the skeleton in a stream."""
-    parts = (own.entries, own.component_scale, own.band_scale, own.position_lengths)
+def write_own(own: OwnBasis, form: str) -> bytes:
+    """The basis as it follows the skeleton in a stream, with what the form needs: magnitudes, or code lengths."""
+    statistics = (own.component_scale, own.band_scale) if form == "runs" else (own.position_lengths,)
+    parts = (own.entries, *statistics)
     raw = b"".join(p.astype(np.int8).tobytes() for p in parts)
     return varint(own.entries.shape[1]) + zlib.compress(raw, 9, wbits=-15)
 
 
-def read_own(data: bytes, joints: int, model: LsdtModel) -> Coding:
+def read_own(data: bytes, joints: int, model: LsdtModel, form: str) -> Coding:
     """Raises CorruptStream where the section is not a basis over so many joints."""
     reader = ByteReader(data)
     count = reader.varint()
     if not 0 < count <= joints:
         raise CorruptStream(f"the stream's basis has {count} components for {joints} joints")
-    shapes = (3, count, joints), (3, count), (BANDS,), (3, count)
+    statistics = [(3, count), (BANDS,)] if form == "runs" else [(3, count)]
+    shapes = [(3, count, joints), *statistics]
     sizes = [int(np.prod(shape)) for shape in shapes]
     try:
         raw = zlib.decompressobj(wbits=-15).decompress(reader.take(reader.left), sum(sizes) + 1)
@@ -129,8 +136,11 @@ def read_own(data: bytes, joints: int, model: LsdtModel) -> Coding:
     if len(raw) != sum(sizes):
         raise CorruptStream(f"the stream's basis has {len(raw)} bytes, wanted {sum(sizes)}")
     parts = np.split(np.frombuffer(raw, np.int8), np.cumsum(sizes)[:-1])
-    own = OwnBasis(*(p.reshape(shape).astype(np.int64) for p, shape in zip(parts, shapes, strict=True)))
+    entries, *numbers = (p.reshape(shape).astype(np.int64) for p, shape in zip(parts, shapes, strict=True))
+    own = OwnBasis(entries, *numbers) if form == "runs" else OwnBasis(entries, position_lengths=numbers[0])
     try:
+        if own.position_lengths is not None:
+            _ = [HuffmanCode(lengths) for lengths in own.position_lengths]
         return from_own(own, model)
-    except np.linalg.LinAlgError as error:
+    except (np.linalg.LinAlgError, ValueError) as error:
         raise CorruptStream(f"the stream's basis is none: {error}") from error

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ..errors import CorruptStream
+from ..errors import CorruptStream, JaxmocapError
 from ..features.recovery import freed, recover, recoverable
 from ..kinematics import pose, positions_cm
 from ..metrics import joint_error
@@ -26,7 +26,9 @@ from . import coefficients_paper, coefficients_runs, lsdt_basis
 from .artifact import Artifact, find_artifact, parse_artifact
 from .base import AbstractCodec, Target
 from .clips import Cut, analyse, cut, synthesise, to_clips
+from .coefficients_runs import frame_rate
 from .container import DIGEST_BYTES, Header, Stream, read_stream, write_stream
+from .entropy import integers
 from .lsdt_basis import Coding
 from .lsdt_model import CLIP_FRAMES, LsdtModel
 from .quantise import quantise, step_cm, step_index
@@ -37,6 +39,7 @@ NUMBER = 1
 CHUNK_CLIPS = 4
 FORMS = ("paper", "runs")
 _UNIT_FRAMES = 60
+_MOST_AT_ONCE = 1 << 25  # joint positions: three hours of a figure; a few bytes of a crafted stream could claim more
 
 
 class LsdtClip(AbstractCodec):
@@ -96,7 +99,7 @@ class LsdtClip(AbstractCodec):
             params=bytes([FORMS.index(self.form) << 7 | self.clip_frames // _UNIT_FRAMES, index]),
             frames=motion.frame_count,
             chunk_frames=min(CHUNK_CLIPS * self.clip_frames, motion.frame_count),
-            skeleton=skeleton if coding.own is None else skeleton + lsdt_basis.write_own(coding.own),
+            skeleton=skeleton if coding.own is None else skeleton + lsdt_basis.write_own(coding.own, self.form),
             digest=bytes.fromhex(self.artifact.digest)[:DIGEST_BYTES],
             model=self.artifact.data if self.embed else None,
             frame_time=None if motion.frame_time == rig.frame_time else motion.frame_time,
@@ -112,17 +115,19 @@ def decode(stream: Stream, at_hand: Artifact | None, frames: slice | None = None
     model = _model(_artifact(header, at_hand))
     unit_cm = model.rig.unit_cm if header.unit_cm is None else header.unit_cm or None
     skeleton, scale, rest, is_known = read_skeleton(header.skeleton, model.rig, unit_cm, index)
-    coding = lsdt_basis.known(model) if is_known else lsdt_basis.read_own(rest, skeleton.joint_count, model)
+    coding = lsdt_basis.known(model) if is_known else lsdt_basis.read_own(rest, skeleton.joint_count, model, form)
     frame_time = model.rig.frame_time if header.frame_time is None else header.frame_time
 
     start, stop, stride = (frames or slice(None)).indices(header.frames)
     if stride != 1 or start >= stop:
         raise ValueError(f"frames {start}:{stop} of {header.frames} are none; wanted start < stop and no stride")
+    if (stop - start + header.chunk_frames) * skeleton.joint_count > _MOST_AT_ONCE:
+        raise JaxmocapError(f"{stop - start} frames are too many to decode at once; take them in parts (--frames A:B)")
     first, last = start // header.chunk_frames, (stop - 1) // header.chunk_frames
     clips = []
     for n in range(first, last + 1):
         held = min(header.chunk_frames, header.frames - n * header.chunk_frames)
-        clips += _decode_chunk(form, stream.chunk(n), cut(held, clip_frames).lengths, coding, index, round(1 / frame_time))
+        clips += _decode_chunk(form, stream.chunk(n), cut(held, clip_frames).lengths, coding, index, frame_rate(frame_time))
     total = sum(c.shape[1] for c in clips)
     c = cut(total, clip_frames)
     levels = np.zeros((c.padded, 3, clip_frames, coding.components), np.int32)
@@ -148,6 +153,9 @@ class _Source:
 
     @staticmethod
     def of(motion: Motion, model: LsdtModel, clip_frames: int) -> _Source:
+        """Raises JaxmocapError where the motion has no frames, or values that are not finite."""
+        if not motion.frame_count or not np.isfinite(motion.values).all():
+            raise JaxmocapError("the motion has no frames, or values that are not finite numbers")
         motion = _codable(motion)
         known = model.rig.skeleton.same_rig(motion.skeleton)
         scale = motion.unit_cm or (model.rig.unit_cm if known else 1.0)
@@ -157,10 +165,15 @@ class _Source:
 
     @property
     def frame_rate(self) -> int:
-        return max(1, round(1 / self.motion.frame_time))
+        return frame_rate(self.motion.frame_time)
 
     def levels(self, coding: Coding, index: int) -> Int[np.ndarray, "clips 3 frequencies components"]:
-        return np.asarray(quantise(self._coefficients(coding), step_cm(index)))
+        coefficients = np.asarray(self._coefficients(coding))
+        if not np.abs(coefficients).max() < step_cm(index) * (integers.LIMIT - 1):
+            raise JaxmocapError(
+                f"a step of {step_cm(index):.3g} cm is too fine for joints as far away as in this motion; is the unit right?"
+            )
+        return np.asarray(quantise(coefficients, step_cm(index)))
 
     def _coefficients(self, coding: Coding) -> Array:
         return analyse(self.clips, self.cut.full, self.cut.last, self.cut.count - 1, coding.bases.analysis)

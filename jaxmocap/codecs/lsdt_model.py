@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..errors import FormatError
 from .artifact import Artifact
 from .clips import Bases
 from .coefficients_paper import PaperCodes
@@ -41,6 +42,14 @@ class LsdtModel:
 
     @staticmethod
     def load(artifact: Artifact) -> LsdtModel:
+        """Raises FormatError where the artifact lacks something, or holds what is no model of `lsdt-clip`."""
+        try:
+            return LsdtModel._load(artifact)
+        except (KeyError, TypeError, ValueError, IndexError) as error:
+            raise FormatError(f"the model {artifact.digest[:8]} is not whole, or is not for lsdt-clip: {error}") from error
+
+    @staticmethod
+    def _load(artifact: Artifact) -> LsdtModel:
         t = artifact.tensors
         tables = {
             frames: RunTables(

@@ -27,14 +27,15 @@ _MOST_JOINTS = 1 << 16
 
 @dataclass(frozen=True)
 class Rig:
-    """What all skeletons of a rig share. `skeleton` holds mean bones in cm; `spread` and `partner` a bone of nonzero length.
+    """What all skeletons of a rig share. `skeleton` holds mean bones in cm.
 
-    `spread[b]` is how far bone b's length strays from its prediction, in 2^-16 cm; `partner[b]` is an earlier bone,
+    The integer arrays have an entry for each bone of nonzero length: `lengths[b]` is that length in 2^-16 cm; `spread[b]` how far bone b's length strays from its prediction, in 2^-16 cm; `partner[b]` is an earlier bone,
     often its mirror image, that strays the same way (-1: none). `expected` is the mean local rotation of each joint.
     """
 
     skeleton: Skeleton
     expected: Float[np.ndarray, "joints 3 3"]
+    lengths: np.ndarray
     spread: np.ndarray
     partner: np.ndarray
     unit_cm: float
@@ -49,6 +50,7 @@ class Rig:
             "rig.bones": bones_of(self.skeleton),
             **({"rig.axes": self.skeleton.axes} if self.skeleton.has_axes else {}),
             "rig.expected": self.expected.astype(np.float32),
+            "rig.lengths": self.lengths.astype(np.int32),
             "rig.spread": self.spread.astype(np.int32),
             "rig.partner": self.partner.astype(np.int16),
         }
@@ -57,7 +59,7 @@ class Rig:
     def load(spec: dict, tensors: dict[str, np.ndarray]) -> Rig:
         skeleton = _with_bones(spec, tensors["rig.bones"], tensors.get("rig.axes"))
         return Rig(
-            skeleton, tensors["rig.expected"].astype(np.float64), tensors["rig.spread"].astype(np.int64),
+            skeleton, tensors["rig.expected"].astype(np.float64), tensors["rig.lengths"].astype(np.int64), tensors["rig.spread"].astype(np.int64),
             tensors["rig.partner"].astype(np.int64), spec["unit_cm"], spec["frame_time"],
         )
 
@@ -126,7 +128,7 @@ def _write_lengths(bones: np.ndarray, rig: Rig, octave: int) -> bytes:
     used = np.flatnonzero(mean > 0)
     size = int(np.clip(np.rint(128 * np.median(lengths[used] / mean[used])), 1, 255)) if len(used) else 128
     counts = np.rint(np.ldexp(lengths[used], -octave)).astype(np.int64)
-    residual = counts - _predicted(mean[used], size, octave)
+    residual = counts - _predicted(rig.lengths, size, octave)
     writer = BitWriter()
     for b, r in enumerate(residual.tolist()):
         p = rig.partner[b]
@@ -144,17 +146,16 @@ def _read_lengths(data: bytes, rig: Rig, octave: int) -> tuple[np.ndarray, bytes
     for b in range(len(used)):
         p = rig.partner[b]
         residual.append(_read_golomb(reader, _order(rig.spread[b], octave)) + (residual[p] if p >= 0 else 0))
-    counts = _predicted(mean_length[used], size, octave) + np.array(residual, np.int64)
+    counts = _predicted(rig.lengths, size, octave) + np.array(residual, np.int64)
     bones = np.zeros_like(mean)
     bones[used] = mean[used] / mean_length[used, None] * np.ldexp(counts.astype(np.float64), octave)[:, None]
     return bones, data[1 + (reader.at + 7) // 8 :]
 
 
-def _predicted(mean_lengths: np.ndarray, size: int, octave: int) -> np.ndarray:
+def _predicted(lengths: np.ndarray, size: int, octave: int) -> np.ndarray:
     """The rig's lengths at this size (128: as the mean), in steps, by integers alone."""
-    fixed = np.rint(np.ldexp(mean_lengths, _FIXED_POINT)).astype(np.int64) * size
     shift = 7 + _FIXED_POINT + octave
-    return fixed + (1 << shift >> 1) >> shift if shift >= 0 else fixed << -shift
+    return lengths * size + (1 << shift - 1) >> shift
 
 
 def _order(spread: int, octave: int) -> int:
@@ -175,8 +176,8 @@ def _write_offsets(bones: np.ndarray, mean: np.ndarray, octave: int) -> bytes:
 
 def _read_offsets(data: bytes, mean: np.ndarray, octave: int) -> tuple[np.ndarray, bytes]:
     order = ByteReader(data).byte()
-    if order > 40:
-        raise CorruptStream(f"the skeleton's bones are coded with order {order}, 40 is the most")
+    if order > 60:
+        raise CorruptStream(f"the skeleton's bones are coded with order {order}, 60 is the most")
     reader = BitReader(data[1:])
     residual = [_read_golomb(reader, order) if reader.read(1) else 0 for _ in range(mean.size)]
     counts = _steps(mean, octave) + np.array(residual, np.int64).reshape(mean.shape)
@@ -199,7 +200,7 @@ def _read_golomb(reader: BitReader, order: int) -> int:
     extra = 0
     while not reader.read(1):
         extra += 1
-        if extra > 48:
+        if extra + order > 60:
             raise CorruptStream("the skeleton holds a bone of impossible length")
     unsigned = (1 << extra + order | reader.read(extra + order)) - (1 << order)
     return (unsigned + 1) // 2 if unsigned & 1 else -(unsigned // 2)
@@ -232,6 +233,9 @@ def _read_outline(packed: bytes) -> dict:
     wanted = ("names", "parents", "channels", "end_joints")
     if not isinstance(outline, dict) or not all(isinstance(outline.get(key), list) for key in wanted):
         raise CorruptStream(f"the stream's skeleton lacks one of {', '.join(wanted)}")
+    kinds = (("names", str), ("parents", int), ("end_joints", int))
+    if not all(type(item) is kind for key, kind in kinds for item in outline[key]):
+        raise CorruptStream("the stream's skeleton has names that are no text, or joints that are no whole numbers")
     if not 0 < len(outline["names"]) <= _MOST_JOINTS or len(outline["end_joints"]) > _MOST_JOINTS:
         raise CorruptStream(f"the stream's skeleton has {len(outline['names'])} joints")
     return outline

@@ -28,7 +28,8 @@ def fit_rig(
     used = lengths.mean(0) > 0
     partner, spread = _partners(lengths[:, used])
     fixed = np.rint(spread * 65536).astype(np.int64)
-    return Rig(mean, _mean_rotations(rotation_sum), fixed, partner, unit_cm, frame_time)
+    mean_lengths = np.rint(lengths.mean(0)[used] * 65536).astype(np.int64)
+    return Rig(mean, _mean_rotations(rotation_sum), mean_lengths, fixed, partner, unit_cm, frame_time)
 
 
 def _partners(lengths: Float[np.ndarray, "people bones"]) -> tuple[np.ndarray, np.ndarray]:
