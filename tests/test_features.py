@@ -96,18 +96,17 @@ def test_real_clips_come_back_whole_in_single_precision(feature, clip):
     assert position < 1e-4 and rotation < 1e-4
 
 
-def test_the_positions_of_bvh_clips_come_back(clip, double):
-    if any(len(c) < 3 for c in clip.skeleton.channels):
-        pytest.skip("the swing of a joint with fewer than three rotation channels is a fit, not exact")
+def test_the_positions_of_real_clips_come_back(clip, double):
     made = Positions.of(clip)
     matrix = made.to_matrix(clip)
     back = made.to_motion(matrix)
-    assert back.skeleton.has_rotations and error(clip, back)[0] < 1e-9
+    assert back.skeleton.has_rotations == recoverable(clip.skeleton) and back.skeleton.names == clip.skeleton.names
+    assert error(clip, back)[0] < 1e-9
     np.testing.assert_allclose(matrix, pose(clip).positions.reshape(100, -1) * 2.54 / 0.45)
 
 
 @given(seed=st.integers(0, 10**6))
-@settings(max_examples=3, deadline=None, database=None)
+@settings(max_examples=2, deadline=None, database=None)
 def test_random_rigs_come_back(seed):
     with jax.enable_x64(True):
         motion = random_motion(seed)
@@ -119,13 +118,10 @@ def test_random_rigs_come_back(seed):
             np.testing.assert_allclose(made.to_matrix(back), matrix, atol=1e-7)  # half turns may change sign
 
 
-@given(seed=st.integers(0, 10**6))
-@settings(max_examples=2, deadline=None, database=None)
-def test_markers_bring_back_joints_that_slide(seed):
-    with jax.enable_x64(True):
-        motion = random_motion(seed, slide=True)
-        made = Markers.of(motion)
-        assert max(error(motion, made.to_motion(made.to_matrix(motion)))) < 1e-9
+def test_markers_bring_back_joints_that_slide(double):
+    motion = random_motion(3, slide=True)
+    made = Markers.of(motion)
+    assert not motion.skeleton.is_rigid and max(error(motion, made.to_motion(made.to_matrix(motion)))) < 1e-9
 
 
 def test_positions_of_a_motion_without_rotations_come_back():
@@ -137,13 +133,12 @@ def test_positions_of_a_motion_without_rotations_come_back():
     np.testing.assert_allclose(back.values, motion.values, atol=1e-6)
 
 
-def test_positions_of_joints_that_slide_keep_names_and_parents():
+def test_positions_of_joints_that_slide_keep_names_and_parents(double):
     motion = random_motion(3, slide=True)
-    assert not motion.skeleton.is_rigid
     made = Positions.of(motion)
     back = made.to_motion(made.to_matrix(motion))
     assert back.skeleton.names == motion.skeleton.names and back.skeleton.parents == motion.skeleton.parents
-    assert error(motion, back)[0] < 1e-3
+    assert error(motion, back)[0] < 1e-9
 
 
 @pytest.mark.parametrize("feature", [Positions, Markers, RotationVectors])
@@ -340,7 +335,7 @@ def test_point_alignment_gradients_agree_with_differences_and_are_finite_at_the_
 
 
 @given(seed=st.integers(0, 10**6))
-@settings(max_examples=4, deadline=None, database=None)
+@settings(max_examples=2, deadline=None, database=None)
 def test_recovery_is_exact_where_the_positions_come_from_the_skeleton(seed):
     with jax.enable_x64(True):
         motion = random_motion(seed, least=3)
@@ -425,6 +420,7 @@ def test_recovery_looks_through_zero_length_bones_and_at_every_root(double):
         [ZYX, ZYX],  # the root cannot move
         [(*POSITION_CHANNELS, *ZYX), (*ZYX, "Yrotation")],  # four angles
         [(*POSITION_CHANNELS, *ZYX), ("Xrotation", "Xrotation")],  # no order
+        [(*POSITION_CHANNELS, "Xrotation"), ZYX],  # a hinge that turns a bone
     ],
 )
 def test_what_positions_do_not_determine_is_refused(channels):

@@ -73,7 +73,7 @@ def keep_largest(g: Float[Array, "channels samples"], count: Int[Array, ""]) -> 
         return _largest([jnp.where(row < last, row, -1) for row in keys])
 
     above_all = jnp.full(g.shape[1:], jnp.iinfo(integer).max, integer)
-    return jnp.where(keys >= jax.lax.fori_loop(0, count, next_largest, above_all), g, 0.0)
+    return jnp.where(keys >= jax.lax.fori_loop(0, count, next_largest, above_all)[None], g, 0.0)
 
 
 def _largest(rows: list[Array]) -> Array:
@@ -87,7 +87,7 @@ def _largest(rows: list[Array]) -> Array:
 def fit_lsdt(
     samples: Float[Array, "groups samples channels"],
     initial: Float[Array, "channels channels"],
-    schedule: Int[Array, " iterations"],
+    schedule: Int[Array | np.ndarray, " iterations"],
     weights: Float[Array, " samples"] | None = None,
 ) -> LsdtFit:
     """Algorithm 1: alternate the sparse codes (8) and the orthogonal matrix (11), from an orthogonal `initial` basis.
@@ -97,8 +97,8 @@ def fit_lsdt(
     basis is `dct_matrix(channels)` or `haar_matrix(channels)` in the paper.
     """
     if initial.shape != (samples.shape[-1],) * 2:
-        raise ValueError(f"initial has shape {initial.shape}, wanted one row and column a channel of {samples.shape[-1]}")
-    scaled = samples if weights is None else samples * jnp.sqrt(weights)[:, None]
+        raise ValueError(f"initial has shape {initial.shape}, wanted ({samples.shape[-1]}, {samples.shape[-1]})")
+    scaled = samples if weights is None else samples * jnp.sqrt(weights)[None, :, None]
     schedule = jnp.asarray(schedule)
     basis, objective = jax.vmap(lambda m: _algorithm_1(m.T, initial.astype(m.dtype), schedule))(scaled)
     return LsdtFit(Lsdt(basis), objective.T)

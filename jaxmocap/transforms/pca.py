@@ -17,10 +17,11 @@ class Pca(AbstractTransform):
     variance: Float[Array, " components"]
 
     def forward(self, x: Float[Array, "... frames channels"]) -> Float[Array, "... frames components"]:
-        return (x - self.mean) @ self.basis.T
+        return (x - jnp.broadcast_to(self.mean, x.shape)) @ self.basis.T
 
     def inverse(self, y: Float[Array, "... frames components"]) -> Float[Array, "... frames channels"]:
-        return y @ self.basis + self.mean
+        x = y @ self.basis
+        return x + jnp.broadcast_to(self.mean, x.shape)
 
 
 @eqx.filter_jit
@@ -35,7 +36,7 @@ def fit_pca(samples: Float[Array, "samples channels"], components: int | None = 
     if not 1 <= count <= channels:
         raise ValueError(f"components is {components}, wanted 1 to {channels}")
     mean = samples.mean(0)
-    centred = samples - mean
+    centred = samples - mean[None]
     variance, vectors = jnp.linalg.eigh(centred.T @ centred / samples.shape[0])
     basis = vectors.T[::-1][:count]
     largest = jnp.take_along_axis(basis, jnp.abs(basis).argmax(1, keepdims=True), 1)

@@ -106,7 +106,8 @@ static Stream read_stream(const uint8_t *data, size_t size) {
     s.chunk_count = (s.frames + s.chunk_frames - 1) / s.chunk_frames;
     if (s.chunk_count > b.size - b.at) fail("the stream ends early");
     s.chunks = allocate((size_t)s.chunk_count, sizeof *s.chunks);
-    for (uint64_t n = 0; n < s.chunk_count; n++) s.chunks[n].size = (size_t)read_varint(&b);
+    for (uint64_t n = 0; n < s.chunk_count && many; n++) s.chunks[n].size = (size_t)read_varint(&b);
+    if (!many) s.chunks[0].size = b.size - b.at > 4 ? b.size - b.at - 4 : 0; /* the one chunk is all the rest */
     uint32_t header_crc = crc32_of(0, data, b.at);
     for (uint64_t n = 0; n < s.chunk_count; n++) {
         s.chunks[n] = part(&b, s.chunks[n].size);

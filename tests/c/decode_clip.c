@@ -85,7 +85,7 @@ static int32_t read_value(Bits *b, const uint8_t *lengths) {
     symbol = (int)read_bits(b, 6);
     if (symbol >= SYMBOLS) fail("a chunk holds a value that no encoder wrote");
     int32_t magnitude = join(symbol, (uint32_t)read_bits(b, raw_bits(symbol))) + 16;
-    return read_bits(b, 1) ? magnitude : -magnitude;
+    return read_bits(b, 1) ? -magnitude : magnitude;
 }
 
 static void decode_paper(Bits *b, int32_t *levels, int length, int index) {
@@ -134,7 +134,7 @@ static void read_lengths(Bytes section, double (*bones)[3], int octave) {
         if (length == 0) continue;
         int partner = lsdt_clip_rig_partner[used], shift = 23 + octave;
         int order = floor_log2((uint64_t)lsdt_clip_rig_spread[used]) - (16 + octave);
-        int64_t predicted = ((int64_t)rint(ldexp(length, 16)) * size + ((int64_t)1 << (shift - 1))) >> shift;
+        int64_t predicted = ((int64_t)lsdt_clip_rig_lengths[used] * size + ((int64_t)1 << (shift - 1))) >> shift;
         residual[used] = read_golomb(&bits, order > 0 ? order : 0) + (partner >= 0 ? residual[partner] : 0);
         for (int c = 0; c < 3; c++) bones[b][c] = mean[c] / length * ldexp((double)(predicted + residual[used]), octave);
         used++;
@@ -144,7 +144,7 @@ static void read_lengths(Bytes section, double (*bones)[3], int octave) {
 static void read_offsets(Bytes section, double (*bones)[3], int octave) {
     Bits bits = {{section.data + 2, section.size - 2, 0}, 0};
     int order = section.data[1];
-    if (order > 40) fail("the skeleton's bones are coded with an impossible order");
+    if (order > 60) fail("the skeleton's bones are coded with an impossible order");
     for (int b = 0; b < BONES; b++)
         for (int c = 0; c < 3; c++) {
             int64_t residual = read_bits(&bits, 1) ? read_golomb(&bits, order) : 0;
