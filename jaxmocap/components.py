@@ -8,14 +8,13 @@ what runs once, on the host, need not be compiled.
 from __future__ import annotations
 
 from types import ModuleType
+from typing import Any, TypeVar
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-Matrix = Float[Array | np.ndarray, "3 3 ..."]
-Vector = Float[Array | np.ndarray, "3 ..."]
-Scalar = Float[Array | np.ndarray, "..."]
+A = TypeVar("A", Array, np.ndarray)
 
 _AXES = "XYZ"
 
@@ -25,38 +24,38 @@ def namespace(x: Array | np.ndarray) -> ModuleType:
     return np if isinstance(x, np.ndarray | np.generic) else jnp
 
 
-def first(x: Scalar, count: int) -> Scalar:
+def first(x: Float[A, "..."], count: int) -> Float[A, "..."]:
     """The last `count` axes brought to the front."""
     return namespace(x).moveaxis(x, tuple(range(-count, 0)), tuple(range(count)))
 
 
-def last(x: Scalar, count: int) -> Scalar:
+def last(x: Float[A, "..."], count: int) -> Float[A, "..."]:
     """The first `count` axes brought to the back."""
     return namespace(x).moveaxis(x, tuple(range(count)), tuple(range(-count, 0)))
 
 
-def multiply(a: Matrix, b: Matrix) -> Matrix:
+def multiply(a: Float[A, "3 3 ..."], b: Float[A, "3 3 ..."]) -> Float[A, "3 3 ..."]:
     """The matrix product a b."""
     return _matrix([[a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j] for j in range(3)] for i in range(3)])
 
 
-def apply(a: Matrix, v: Vector) -> Vector:
+def apply(a: Float[A, "3 3 ..."], v: Float[A, "3 ..."]) -> Float[A, "3 ..."]:
     """The rotated vector a v."""
     return _vector([a[i, 0] * v[0] + a[i, 1] * v[1] + a[i, 2] * v[2] for i in range(3)])
 
 
-def transpose(a: Matrix) -> Matrix:
+def transpose(a: Float[A, "3 3 ..."]) -> Float[A, "3 3 ..."]:
     """The inverse rotation."""
     return namespace(a).swapaxes(a, 0, 1)
 
 
-def identity(shape: tuple[int, ...], like: Scalar) -> Matrix:
+def identity(shape: tuple[int, ...], like: Float[A, "..."]) -> Float[A, "3 3 ..."]:
     """The identity for a batch of this shape, of the kind and dtype of `like`."""
     xp = namespace(like)
     return xp.broadcast_to(xp.eye(3, dtype=like.dtype).reshape(3, 3, *[1] * len(shape)), (3, 3, *shape))
 
 
-def about_axis(axis: Vector, angle: Scalar) -> Matrix:
+def about_axis(axis: Float[A, "3 ..."], angle: Float[A, "..."]) -> Float[A, "3 3 ..."]:
     """Rotation by `angle` radians about the unit vector `axis` (Rodrigues)."""
     xp = namespace(angle)
     s, c = xp.sin(angle), xp.cos(angle)
@@ -69,10 +68,10 @@ def about_axis(axis: Vector, angle: Scalar) -> Matrix:
     ])
 
 
-def from_euler(angles: Float[Array | np.ndarray, "n ..."], order: str) -> Matrix:
+def from_euler(angles: Float[A, "n ..."], order: str) -> Float[A, "3 3 ..."]:
     """The product, left to right, of rotations by `angles` radians about the axes in `order`."""
     xp = namespace(angles)
-    result = identity(angles.shape[1:], angles)
+    result: Any = identity(angles.shape[1:], angles)
     for n, name in enumerate(order):
         axis = xp.eye(3, dtype=angles.dtype)[_AXES.index(name)].reshape(3, *[1] * (angles.ndim - 1))
         factor = about_axis(axis, angles[n])
@@ -80,7 +79,7 @@ def from_euler(angles: Float[Array | np.ndarray, "n ..."], order: str) -> Matrix
     return result
 
 
-def to_euler(r: Matrix, order: str) -> Vector:
+def to_euler(r: Float[A, "3 3 ..."], order: str) -> Float[A, "3 ..."]:
     """Angles in radians, so that `from_euler(angles, order)` is the rotation; at gimbal lock the third is 0.
 
     `order` names three axes, neighbours different: all 12 orders. Raises ValueError for any other.
@@ -108,22 +107,23 @@ def to_euler(r: Matrix, order: str) -> Vector:
     return xp.stack([start, middle, xp.where(locked, 0.0, end)])
 
 
-def dot(a: Vector, b: Vector) -> Scalar:
+def dot(a: Float[A, "3 ..."], b: Float[A, "3 ..."]) -> Any:
+    """The inner product of the vectors."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def cross(a: Vector, b: Vector) -> Vector:
+def cross(a: Float[A, "3 ..."], b: Float[A, "3 ..."]) -> Float[A, "3 ..."]:
     return _vector([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
-def normalise(v: Vector) -> Vector:
+def normalise(v: Float[A, "3 ..."]) -> Float[A, "3 ..."]:
     """v / |v|; the zero vector stays zero."""
     xp = namespace(v)
     n2 = dot(v, v)[None]
     return xp.where(n2 == 0, 0.0, v / xp.sqrt(xp.where(n2 == 0, 1.0, n2)))
 
 
-def swing(a: Vector, b: Vector) -> Matrix:
+def swing(a: Float[A, "3 ..."], b: Float[A, "3 ..."]) -> Float[A, "3 3 ..."]:
     """The smallest rotation that turns the direction of `a` into that of `b`; the identity where either is zero.
 
     Opposite directions are half a turn apart about an axis across `a`.
@@ -148,23 +148,23 @@ def swing(a: Vector, b: Vector) -> Matrix:
     ])
 
 
-def _vector(rows: list[Scalar]) -> Vector:
+def _vector(rows: list) -> Any:
     return namespace(rows[0]).stack(rows)
 
 
-def _matrix(rows: list[list[Scalar]]) -> Matrix:
+def _matrix(rows: list[list]) -> Any:
     xp = namespace(rows[0][0])
     return xp.stack([xp.stack(row) for row in rows])
 
 
-def _hypot(x: Scalar, y: Scalar) -> Scalar:
+def _hypot(x: Float[A, "..."], y: Float[A, "..."]) -> Float[A, "..."]:
     """sqrt(x^2 + y^2) whose gradient at (0, 0) is 0, not NaN."""
     xp = namespace(x)
     square = x * x + y * y
     return xp.where(square == 0, 0.0, xp.sqrt(xp.where(square == 0, 1.0, square)))
 
 
-def _safe_atan2(y: Scalar, x: Scalar) -> Scalar:
+def _safe_atan2(y: Float[A, "..."], x: Float[A, "..."]) -> Float[A, "..."]:
     """atan2 whose gradient at (0, 0) is 0, not NaN."""
     xp = namespace(y)
     zero = (x == 0) & (y == 0)

@@ -6,6 +6,7 @@ import functools
 import json
 import sys
 from pathlib import Path
+from typing import Literal
 
 from ..codecs import LsdtClip, Target, load_artifact
 from . import lsdt
@@ -17,7 +18,7 @@ def measure(data: Path) -> dict:
     shipped = load_artifact("lsdt-clip")
     motions, corpus = test_motions(data), train_corpus(data)
 
-    def codec(form: str, clip_frames: int, artifact=shipped):
+    def codec(form: Literal["runs", "paper"], clip_frames: int, artifact=shipped):
         def make(target: Target) -> LsdtClip:
             return LsdtClip(artifact, clip_frames, form, target)
 
@@ -56,7 +57,9 @@ def text(result: dict) -> str:
     ]
     lines += ["", f"speed, runs L=240, frames/s at 1 cm: encode {one['encode_fps']:,.0f}, decode {one['decode_fps']:,.0f}"]
     cold, speed = result["cold_decode"], result["training_speed"]
-    lines += [f"cold decode of 09_06: {cold['decode_s']:.2f} s, import jax {cold['import_jax_s']:.2f} s, {cold['ratio']:.2f} times"]
+    lines += [
+        f"cold decode of 09_06: {cold['decode_s']:.2f} s, import jax {cold['import_jax_s']:.2f} s, {cold['ratio']:.2f} times"
+    ]
     lines += [
         f"learning, P = 8, 300 iterations: {speed['jax_s']:.2f} s with compilation, numpy {speed['numpy_s']:.2f} s, "
         f"{speed['numpy_over_jax']:.2f} times as long"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from ..errors import UnsupportedVersion
 from ..motion import Motion
 from . import lsdt_clip
@@ -13,7 +15,7 @@ from .container import Header, read_stream
 from .lsdt_clip import LsdtClip as LsdtClip
 
 # Registering a codec is what has it tested: the laws in tests/test_codec_laws.py run over this table.
-CODECS: dict[str, type[AbstractCodec]] = {"lsdt-clip": LsdtClip}
+CODECS: dict[str, Callable[..., AbstractCodec]] = {"lsdt-clip": LsdtClip}
 _BY_NUMBER = {lsdt_clip.NUMBER: ("lsdt-clip", lsdt_clip.decode)}
 DEFAULT = "lsdt-clip"
 

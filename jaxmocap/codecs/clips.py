@@ -29,18 +29,18 @@ class Cut(NamedTuple):
     last: Float[np.ndarray, "frames frames"]
 
     @property
-    def count(self) -> int:
+    def clip_count(self) -> int:
         return -(-self.frames // self.clip_frames)
 
     @property
     def lengths(self) -> list[int]:
         """Frames of each clip."""
-        rest = self.frames - (self.count - 1) * self.clip_frames
-        return [self.clip_frames] * (self.count - 1) + [rest]
+        rest = self.frames - (self.clip_count - 1) * self.clip_frames
+        return [self.clip_frames] * (self.clip_count - 1) + [rest]
 
     @property
     def padded(self) -> int:
-        return 1 << (self.count - 1).bit_length()
+        return 1 << (self.clip_count - 1).bit_length()
 
 
 def cut(frames: int, clip_frames: int) -> Cut:

@@ -75,7 +75,7 @@ def _scans(scale: bytes, shape: tuple[int, ...], length: int, frame_rate: int) -
 class Symbols(NamedTuple):
     """What is coded of one coordinate of one clip: contexts and integers, nonzero by nonzero."""
 
-    count: int
+    nonzeros: int
     run_context: np.ndarray
     run: np.ndarray
     value_context: np.ndarray
@@ -126,9 +126,9 @@ def encode_clips(
     for levels, t in zip(clips, tables, strict=True):
         for d, scan in enumerate(scans(t.scale, levels.shape[1], frame_rate)):
             s = symbols(levels[d], scan, step_index)
-            symbol, raw, bits = (int(a[0]) for a in integers.split(np.array([s.count])))
+            symbol, raw, bits = (int(a[0]) for a in integers.split(np.array([s.nonzeros])))
             put(t.count[count_context(previous[d])], symbol, raw, bits)
-            previous[d] = s.count
+            previous[d] = s.nonzeros
             runs = zip(s.run_context.tolist(), *(a.tolist() for a in integers.split(s.run)), strict=True)
             values = zip(s.value_context.tolist(), *(a.tolist() for a in integers.split(s.value)), strict=True)
             for run, value, negative in zip(runs, values, s.negative.tolist(), strict=True):

@@ -95,7 +95,9 @@ def from_own(own: OwnBasis, model: LsdtModel) -> Coding:
     return Coding(model, Bases(analysis.astype(np.float32), synthesis.astype(np.float32)), own)
 
 
-def fit_to_levels(coding: Coding, levels: Int[np.ndarray, "clips 3 frequencies components"], band: np.ndarray, index: int) -> Coding:
+def fit_to_levels(
+    coding: Coding, levels: Int[np.ndarray, "clips 3 frequencies components"], band: np.ndarray, index: int
+) -> Coding:
     """The components that hold any nonzero level, with the statistics of the levels; `band` is that of each frequency."""
     own = coding.own
     assert own is not None
@@ -115,8 +117,7 @@ def fit_to_levels(coding: Coding, levels: Int[np.ndarray, "clips 3 frequencies c
 def write_own(own: OwnBasis, form: str) -> bytes:
     """The basis as it follows the skeleton in a stream, with what the form needs: magnitudes, or code lengths."""
     statistics = (own.component_scale, own.band_scale) if form == "runs" else (own.position_lengths,)
-    parts = (own.entries, *statistics)
-    raw = b"".join(p.astype(np.int8).tobytes() for p in parts)
+    raw = b"".join(np.asarray(part, np.int8).tobytes() for part in (own.entries, *statistics))
     return varint(own.entries.shape[1]) + zlib.compress(raw, 9, wbits=-15)
 
 

@@ -176,7 +176,7 @@ class _Source:
         return np.asarray(quantise(coefficients, step_cm(index)))
 
     def _coefficients(self, coding: Coding) -> Array:
-        return analyse(self.clips, self.cut.full, self.cut.last, self.cut.count - 1, coding.bases.analysis)
+        return analyse(self.clips, self.cut.full, self.cut.last, self.cut.clip_count - 1, coding.bases.analysis)
 
     def coarsest_step(self, coding: Coding, target: Target) -> int:
         """Found on positions alone first, which is quick, then on what the decoder makes of them."""
@@ -221,14 +221,14 @@ def _codable(motion: Motion) -> Motion:
     return Motion.from_positions(positions, s.names, motion.frame_time, s.parents, motion.unit_cm)
 
 
-def _error(positions: Float[np.ndarray, "frames joints 3"], decoded: Array) -> tuple[float, float]:
+def _error(positions: Float[np.ndarray, "frames joints 3"], decoded: Array | np.ndarray) -> tuple[float, float]:
     error = np.asarray(joint_error(jnp.asarray(positions), jnp.asarray(decoded)[: len(positions)]))
     return float(error.mean()), float(error.max())
 
 
 def _positions(levels: np.ndarray | Array, c: Cut, coding: Coding, index: int) -> Float[Array, "padded_frames joints 3"]:
     """Joint positions in cm, before any fit."""
-    return synthesise(levels, step_cm(index), c.full, c.last, c.count - 1, coding.bases.synthesis)
+    return synthesise(levels, step_cm(index), c.full, c.last, c.clip_count - 1, coding.bases.synthesis)
 
 
 def _to_motion(

@@ -20,7 +20,7 @@ def coarsest(distortion: Distortion, target: Target, start: int = STEPS // 2) ->
     coarser step would, too. Raises JaxmocapError where even the finest step does not meet it.
     """
     low, high = -1, STEPS  # low meets the target, high does not
-    index = start
+    index, error = start, (math.inf, math.inf)
     while high - low > 1:
         error = distortion(index)
         low, high = (index, high) if meets(error, target) else (low, index)

@@ -29,8 +29,9 @@ _MOST_JOINTS = 1 << 16
 class Rig:
     """What all skeletons of a rig share. `skeleton` holds mean bones in cm.
 
-    The integer arrays have an entry for each bone of nonzero length: `lengths[b]` is that length in 2^-16 cm; `spread[b]` how far bone b's length strays from its prediction, in 2^-16 cm; `partner[b]` is an earlier bone,
-    often its mirror image, that strays the same way (-1: none). `expected` is the mean local rotation of each joint.
+    The integer arrays have an entry for each bone of nonzero length: `lengths[b]` is that length in 2^-16 cm, `spread[b]`
+    how far it strays from its prediction, likewise, and `partner[b]` an earlier bone, often the mirror image, that strays
+    the same way (-1: none). `expected` is the mean local rotation of each joint.
     """
 
     skeleton: Skeleton
@@ -58,10 +59,9 @@ class Rig:
     @staticmethod
     def load(spec: dict, tensors: dict[str, np.ndarray]) -> Rig:
         skeleton = _with_bones(spec, tensors["rig.bones"], tensors.get("rig.axes"))
-        return Rig(
-            skeleton, tensors["rig.expected"].astype(np.float64), tensors["rig.lengths"].astype(np.int64), tensors["rig.spread"].astype(np.int64),
-            tensors["rig.partner"].astype(np.int64), spec["unit_cm"], spec["frame_time"],
-        )
+        lengths, spread, partner = (tensors[f"rig.{name}"].astype(np.int64) for name in ("lengths", "spread", "partner"))
+        expected = tensors["rig.expected"].astype(np.float64)
+        return Rig(skeleton, expected, lengths, spread, partner, spec["unit_cm"], spec["frame_time"])
 
 
 def bones_of(skeleton: Skeleton) -> Float[np.ndarray, "bones 3"]:
@@ -92,7 +92,8 @@ def read_skeleton(
 ) -> tuple[Skeleton, float, bytes, bool]:
     """The skeleton in file units, the cm of one, what follows it in the section, and whether the model knew its rig.
 
-    Where nobody knows the unit, a figure of the rig is taken to be of the rig's unit, any other of centimetres. Raises CorruptStream where the section contradicts itself.
+    Where nobody knows the unit, a figure of the rig is taken to be of the rig's unit, any other of centimetres.
+    Raises CorruptStream where the section contradicts itself.
     """
     octave = bone_octave(step_index)
     reader = ByteReader(section)

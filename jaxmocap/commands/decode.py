@@ -44,7 +44,8 @@ class Decode(Command):
         }
 
     def text(self, report: Report) -> str:
-        return table([(str(self.output), f"{report['bytes']:,} bytes"), ("frames", report["frames"]), ("seconds", report["seconds"])])
+        size = f"{report['bytes']:,} bytes"
+        return table([(str(self.output), size), ("frames", report["frames"]), ("seconds", report["seconds"])])
 
 
 def _slice(text: str | None) -> slice | None:

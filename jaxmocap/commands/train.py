@@ -28,11 +28,11 @@ class Train(Command):
     """Leave out so many frames at the front of each file."""
 
     def run(self) -> Report:
+        from ..errors import JaxmocapError
         from ..formats.text import write_bytes
         from ..training import TRAINERS
         from ..training.corpus import Corpus
         from ..training.report import draw
-        from ..errors import JaxmocapError
 
         if self.codec not in TRAINERS:
             raise JaxmocapError(f"--codec is {self.codec!r}, wanted one of {', '.join(TRAINERS)}")

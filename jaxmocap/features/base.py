@@ -40,9 +40,7 @@ class AbstractFeature(eqx.Module):
             raise ValueError("the motion has another skeleton or unit than the feature was made for")
 
     def motion(
-        self,
-        local: Float[Array | np.ndarray, "3 3 joints frames"],
-        translations: Float[Array | np.ndarray, "3 joints frames"],
+        self, local: Float[np.ndarray, "3 3 joints frames"], translations: Float[np.ndarray, "3 joints frames"]
     ) -> Motion:
         """The motion of local rotations and translations (file units); on the host, where nothing is compiled."""
         values = np.asarray(values_of(self.skeleton, local, translations), np.float64)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from .. import components as rot
+from ..components import A
 from ..skeleton import POSITION_CHANNELS, ROTATION_CHANNELS, Skeleton
 
 
@@ -20,7 +21,7 @@ def has_euler_orders(skeleton: Skeleton) -> bool:
     return all(len(o) <= 3 and all(a != b for a, b in zip(o, o[1:], strict=False)) for o in orders)
 
 
-def angles_of(rotation: rot.Matrix, order: str) -> rot.Vector:
+def angles_of(rotation: Float[A, "3 3 ..."], order: str) -> Float[A, "channels ..."]:
     """Radians about the axes of a joint's channels, (channels, ...), of its rotation in the frame of those channels.
 
     Exact where `order` can make the rotation. What fewer than three channels cannot make is dropped: the one angle is
@@ -42,9 +43,9 @@ def angles_of(rotation: rot.Matrix, order: str) -> rot.Vector:
 
 def values_of(
     skeleton: Skeleton,
-    local: Float[Array | np.ndarray, "3 3 joints frames"],
-    translations: Float[Array | np.ndarray, "3 joints frames"],
-) -> Float[Array | np.ndarray, "frames channels"]:
+    local: Float[A, "3 3 joints frames"],
+    translations: Float[A, "3 joints frames"],
+) -> Float[A, "frames channels"]:
     """Channel values (degrees, file units) in file order of local rotations and translations, components in front.
 
     `translations` is read only where a joint has position channels; a root's is its position. `has_euler_orders` must

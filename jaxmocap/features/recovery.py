@@ -94,7 +94,7 @@ def _targets(skeleton: Skeleton, joint: int, assumed: np.ndarray) -> list[tuple[
 # Inside, components lead and frames trail, (3, 3, frames): see components.py.
 
 
-def _turn(predicted: rot.Matrix, bones: list[tuple[np.ndarray, np.ndarray]]) -> rot.Matrix:
+def _turn(predicted: np.ndarray, bones: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
     """The global rotation that brings the bones, given by place and by where their ends were seen, nearest to those."""
     if not bones:
         return predicted
@@ -106,14 +106,14 @@ def _turn(predicted: rot.Matrix, bones: list[tuple[np.ndarray, np.ndarray]]) -> 
     return rot.multiply(rot.swing(bone, bones[longest][1]), predicted)
 
 
-def _kabsch(places: Float[np.ndarray, "bones 3"], seen: Float[np.ndarray, "bones 3 frames"]) -> rot.Matrix:
+def _kabsch(places: Float[np.ndarray, "bones 3"], seen: Float[np.ndarray, "bones 3 frames"]) -> np.ndarray:
     """The rotation that brings all bones of a joint nearest to where their ends were seen."""
     u, _, vt = np.linalg.svd(np.einsum("bif,bk->fik", seen, places.astype(seen.dtype)))
     u[..., -1] *= np.sign(np.linalg.det(u @ vt))[:, None]
     return rot.first(u @ vt, 2)
 
 
-def _allowed(skeleton: Skeleton, joint: int, local: rot.Matrix) -> rot.Matrix:
+def _allowed(skeleton: Skeleton, joint: int, local: np.ndarray) -> np.ndarray:
     """The part of a local rotation that the joint's channels can make: all of it with three rotation channels."""
     order = rotation_order(skeleton.channels[joint])
     if len(order) == 3:

@@ -159,7 +159,7 @@ class _Trainer:
         """The coefficients of a file's clips (3, frequencies, components), chunk by chunk; or their levels at a step."""
         positions = self._positions(item)
         c = cut(len(positions), frames)
-        coefficients = analyse(to_clips(positions, c), c.full, c.last, c.count - 1, state["basis"])
+        coefficients = analyse(to_clips(positions, c), c.full, c.last, c.clip_count - 1, state["basis"])
         values = np.asarray(coefficients if index is None else quantise(coefficients, step_cm(index)))
         clips = [values[n, :, :length] for n, length in enumerate(c.lengths)]
         return [clips[n : n + CHUNK_CLIPS] for n in range(0, len(clips), CHUNK_CLIPS)]
@@ -220,8 +220,8 @@ class _Seen:
             for d, scan in enumerate(coefficients_runs.scans(scale, levels.shape[1], frame_rate)):
                 s = coefficients_runs.symbols(levels[d], scan, index)
                 context = coefficients_runs.count_context(previous[d])
-                self.arrays["count"][context, integers.split(np.array([s.count]))[0][0]] += 1
-                previous[d] = s.count
+                self.arrays["count"][context, integers.split(np.array([s.nonzeros]))[0][0]] += 1
+                previous[d] = s.nonzeros
                 np.add.at(self.arrays["run"], (s.run_context, integers.split(s.run)[0]), 1)
                 np.add.at(self.arrays["value"], (s.value_context, integers.split(s.value)[0]), 1)
                 self.arrays["position"][d] += (levels[d] != 0).sum(0)

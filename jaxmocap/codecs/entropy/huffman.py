@@ -26,7 +26,7 @@ def code_lengths(counts: np.ndarray) -> np.ndarray:
 def _lengths(weights: np.ndarray) -> np.ndarray:
     if len(weights) == 1:
         return np.ones(1, np.int64)
-    heap = [(int(w), n, (n,)) for n, w in enumerate(weights)]
+    heap: list[tuple[int, int, tuple[int, ...]]] = [(int(w), n, (n,)) for n, w in enumerate(weights)]
     heapq.heapify(heap)
     lengths = np.zeros(len(weights), np.int64)
     while len(heap) > 1:

@@ -6,7 +6,7 @@ byte first. Where constriction has no wheel, `PythonEncoder` and `PythonDecoder`
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -14,9 +14,9 @@ from ...errors import CorruptStream
 from .tables import TABLE_BITS, FrequencyTable
 
 try:
-    import constriction
+    from constriction import stream as constriction  # pyright: ignore[reportAttributeAccessIssue]
 except ImportError:  # Linux on Arm has no wheel
-    constriction = None
+    constriction: Any = None
 
 _PRECISION = 24
 _MASK = (1 << 64) - 1
@@ -50,8 +50,8 @@ class PythonEncoder:
         self._narrow(starts[symbol], starts[symbol + 1], TABLE_BITS)
 
     def encode_bits(self, value: int, count: int) -> None:
-        for count, part in _raw_parts(value, count):
-            self._narrow(part, part + 1, count)
+        for part_bits, part in _raw_parts(value, count):
+            self._narrow(part, part + 1, part_bits)
 
     def _narrow(self, start: int, stop: int, bits: int) -> None:
         scale = self._range >> _PRECISION
@@ -127,7 +127,7 @@ class ConstrictionEncoder:
     """The same by constriction, some ten times faster."""
 
     def __init__(self) -> None:
-        self._coder = constriction.stream.queue.RangeEncoder()
+        self._coder = constriction.queue.RangeEncoder()
 
     def encode(self, symbol: int, table: FrequencyTable) -> None:
         self._coder.encode(symbol, _constriction_model(table))
@@ -150,7 +150,7 @@ class ConstrictionDecoder:
 
     def __init__(self, data: bytes):
         padded = data + bytes(8 + -len(data) % 4)
-        self._coder = constriction.stream.queue.RangeDecoder(np.frombuffer(padded, ">u4").astype(np.uint32))
+        self._coder = constriction.queue.RangeDecoder(np.frombuffer(padded, ">u4").astype(np.uint32))
 
     def decode(self, table: FrequencyTable) -> int:
         return self._decode(_constriction_model(table))
@@ -197,7 +197,7 @@ def _constriction_model(table: FrequencyTable):
     model = table.__dict__.get("_constriction")
     if model is None:
         weights = (table.frequencies << (_PRECISION - TABLE_BITS)) - 1
-        model = constriction.stream.model.Categorical(weights.astype(np.float64), perfect=False)
+        model = constriction.model.Categorical(weights.astype(np.float64), perfect=False)
         table.__dict__["_constriction"] = model
     return model
 
@@ -208,4 +208,4 @@ if constriction is None:
 else:
     RangeEncoder = ConstrictionEncoder
     RangeDecoder = ConstrictionDecoder
-    _UNIFORM = [None] + [constriction.stream.model.Uniform(1 << bits) for bits in range(1, _RAW_BITS + 1)]
+    _UNIFORM = [None] + [constriction.model.Uniform(1 << bits) for bits in range(1, _RAW_BITS + 1)]
