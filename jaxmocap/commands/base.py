@@ -44,9 +44,21 @@ def load_motion(path: Path, unit_cm: float | None = None, model: Path | None = N
         from ..codecs import decode
 
         return decode(path.read_bytes(), load_model(model))
+    return read_file(path, unit_cm)
+
+
+def read_file(path: Path, unit_cm: float | None) -> Motion:
+    """A motion file. Raises JaxmocapError where the unit is none."""
     from ..formats import read_motion
 
-    return read_motion(path, unit_cm)
+    return read_motion(path, checked_unit(unit_cm))
+
+
+def checked_unit(unit_cm: float | None) -> float | None:
+    """The unit as it was given. Raises JaxmocapError where it is no length."""
+    if unit_cm is not None and not 0 < unit_cm < float("inf"):
+        raise JaxmocapError(f"--unit-cm is {unit_cm}, wanted centimetres per file unit above 0")
+    return unit_cm
 
 
 def load_model(model: Path | None) -> Artifact | None:

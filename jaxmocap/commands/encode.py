@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from ..errors import JaxmocapError
-from .base import Command, Input, Output, Report, load_model, table, unit_name, without_first
+from .base import Command, Input, Output, Report, load_model, read_file, table, unit_name, without_first
 
 if TYPE_CHECKING:
     from ..codecs.base import Target
@@ -46,12 +46,11 @@ class Encode(Command):
 
     def run(self) -> Report:
         from ..codecs import make
-        from ..formats import read_motion
         from ..formats.text import write_bytes
         from ..metrics import compare
 
         settings = self._settings()
-        motion = without_first(read_motion(self.input, self.unit_cm), self.start, self.input.name)
+        motion = without_first(read_file(self.input, self.unit_cm), self.start, self.input.name)
         began = time.perf_counter()
         try:
             codec = make(settings, load_model(self.model))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import ModelMismatch
-from .base import Command, Input, Report, load_model, table
+from .base import Command, Input, Report, load_model, read_file, table
 
 
 @dataclass(kw_only=True)
@@ -34,9 +34,7 @@ class Info(Command):
         return table([(key.replace("_", " "), _flat(value)) for key, value in report.items()])
 
     def _motion(self) -> Report:
-        from ..formats import read_motion
-
-        return {"format": self.input.suffix[1:].lower(), **_described(read_motion(self.input, self.unit_cm))}
+        return {"format": self.input.suffix[1:].lower(), **_described(read_file(self.input, self.unit_cm))}
 
     def _stream(self) -> Report:
         from ..codecs import codec_name, decode

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import tyro
 
-from .base import Command, Output, Report, table
+from .base import Command, Output, Report, checked_unit, table
 
 
 @dataclass(kw_only=True)
@@ -37,7 +37,7 @@ class Train(Command):
         if self.codec not in TRAINERS:
             raise JaxmocapError(f"--codec is {self.codec!r}, wanted one of {', '.join(TRAINERS)}")
         began = time.perf_counter()
-        corpus = Corpus.of(self.corpus, self.unit_cm, self.start)
+        corpus = Corpus.of(self.corpus, checked_unit(self.unit_cm), self.start)
         checkpoint = self.output.with_name(self.output.name + ".partial")
         artifact, report = TRAINERS[self.codec](corpus, checkpoint)
         report["seconds"] = time.perf_counter() - began

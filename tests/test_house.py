@@ -1,0 +1,65 @@
+"""The rules of the house that a machine can hold: who imports whom, what stays unimported, the links at the root."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import jaxmocap
+
+PACKAGE = Path(jaxmocap.__file__).parent
+ROOT = Path(__file__).resolve().parents[1]
+LAYERS = ("core", "codecs", "training", "top")  # each may import itself and those before it
+TOP = ("bench", "commands", "__main__")
+OUTSIDE = {
+    "core": {"jax", "equinox", "numpy", "scipy", "jaxtyping"},
+    "codecs": {"jax", "equinox", "numpy", "scipy", "jaxtyping", "constriction", "safetensors"},
+    "training": {"jax", "equinox", "numpy", "scipy", "jaxtyping", "safetensors", "optax", "matplotlib"},
+    "top": {"jax", "equinox", "numpy", "scipy", "jaxtyping", "matplotlib", "tyro"},
+}
+
+
+def layer(parts: tuple[str, ...]) -> str:
+    first = parts[0] if parts else ""
+    return "top" if first in TOP else first if first in ("codecs", "training") else "core"
+
+
+def imports(file: Path) -> list[tuple[str, ...]]:
+    """Absolute names of all that a file imports, as tuples."""
+    here = ("jaxmocap", *file.relative_to(PACKAGE).with_suffix("").parts)
+    found = []
+    for node in ast.walk(ast.parse(file.read_text())):
+        if isinstance(node, ast.Import):
+            found += [tuple(alias.name.split(".")) for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = here[: len(here) - node.level] if node.level else ()
+            module = tuple(node.module.split(".")) if node.module else ()
+            found += [(*base, *module, alias.name) for alias in node.names]
+    return found
+
+
+@pytest.mark.parametrize("file", sorted(PACKAGE.rglob("*.py")), ids=lambda f: str(f.relative_to(PACKAGE)))
+def test_imports_go_down_only(file: Path):
+    mine = layer(file.relative_to(PACKAGE).with_suffix("").parts)
+    for name in imports(file):
+        if name[0] == "jaxmocap":
+            theirs = layer(name[1:])
+            assert LAYERS.index(theirs) <= LAYERS.index(mine), f"{mine} imports {'.'.join(name)}"
+        else:
+            known = name[0] in sys.stdlib_module_names or name[0] in OUTSIDE[mine]
+            assert known, f"{mine} imports {'.'.join(name)}"
+
+
+def test_importing_jaxmocap_is_light():
+    code = "import sys, jaxmocap; print([m for m in ('optax', 'matplotlib', 'tyro', 'constriction', 'scipy') if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_links_at_the_root_are_the_real_folders():
+    if not (ROOT / "pyproject.toml").is_file() or not (ROOT / "jaxmocap").is_dir():
+        pytest.skip("the tests run outside a checkout")
+    for name in ("codecs", "training"):
+        assert (ROOT / name).is_symlink() and (ROOT / name).resolve() == (ROOT / "jaxmocap" / name).resolve()
