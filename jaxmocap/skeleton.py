@@ -110,11 +110,12 @@ class Skeleton(eqx.Module):
         return mine == theirs and bool(np.array_equal(self.axes, other.axes))
 
     def height(self) -> float:
-        """The tallest extent of the rest pose along one axis, in file units: how large the figure is."""
+        """The largest extent of the rest pose along one axis, in file units: how large the figure is.
+
+        Every tree is measured from its own root, since roots stand where the motion puts them.
+        """
         rest = np.zeros((self.joint_count, 3))
         for j, parent in enumerate(self.parents):
-            rest[j] = self.offsets[j] + (rest[parent] if parent >= 0 else 0.0)
-        ends = self.end_offsets + rest[list(self.end_joints)]
-        # Roots stand where the motion puts them, so each tree is measured from its own root.
-        points = np.concatenate([rest, ends])
+            rest[j] = self.offsets[j] + rest[parent] if parent >= 0 else 0.0
+        points = np.concatenate([rest, self.end_offsets + rest[list(self.end_joints)]])
         return float(np.max(points.max(0) - points.min(0)))
