@@ -240,11 +240,20 @@ def _to_motion(
     frame_time: float,
     unit_cm: float | None,
 ) -> Motion:
-    """Rotations fitted to positions in cm; where joints have position channels of their own, the positions as they are."""
+    """Rotations fitted to positions in cm; where joints have position channels of their own, the positions as they are.
+
+    Raises CorruptStream where bones or joints are beyond what floats can hold.
+    """
     in_units = np.asarray(positions)[:frames] / np.float32(scale)
     if not recoverable(skeleton):
         return Motion.from_positions(in_units, skeleton.names, frame_time, skeleton.parents, unit_cm)
-    values = recover(skeleton, in_units, expected).values.astype(np.float64)
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            values = recover(skeleton, in_units, expected).values.astype(np.float64)
+    except np.linalg.LinAlgError as error:
+        raise CorruptStream(f"the stream's bones fit no joints: {error}") from error
+    if not np.isfinite(values).all():
+        raise CorruptStream("the stream's bones or joints are beyond all measure")
     return Motion(skeleton, values, frame_time, unit_cm)
 
 

@@ -103,9 +103,12 @@ def read_skeleton(
         count = len(outline["names"]) + len(outline["end_joints"])
         bones, rest = _read_offsets(section[reader.at :], np.zeros((count, 3)), octave)
         try:
-            return _with_bones(outline, bones / (unit_cm or 1.0), outline.get("axes")), unit_cm or 1.0, rest, False
-        except (ValueError, TypeError) as error:
+            skeleton = _with_bones(outline, bones / (unit_cm or 1.0), outline.get("axes"))
+        except (ValueError, TypeError, OverflowError) as error:
             raise CorruptStream(f"the stream's skeleton does not hold together: {error}") from error
+        if not (np.abs(skeleton.axes) < 1.001).all():
+            raise CorruptStream("the stream's skeleton has axes that are no rotations")
+        return skeleton, unit_cm or 1.0, rest, False
     if kind not in (LENGTHS, OFFSETS):
         raise CorruptStream(f"the skeleton section is of kind {kind}, known are 0 to 2")
     mean = bones_of(rig.skeleton)
@@ -147,9 +150,10 @@ def _read_lengths(data: bytes, rig: Rig, octave: int) -> tuple[np.ndarray, bytes
     for b in range(len(used)):
         p = rig.partner[b]
         residual.append(_read_golomb(reader, _order(rig.spread[b], octave)) + (residual[p] if p >= 0 else 0))
-    counts = _predicted(rig.lengths, size, octave) + np.array(residual, np.int64)
+    # In doubles: exact for any bone, where a damaged stream's sums would leave 64-bit integers.
+    counts = _predicted(rig.lengths, size, octave) + np.array(residual, np.float64)
     bones = np.zeros_like(mean)
-    bones[used] = mean[used] / mean_length[used, None] * np.ldexp(counts.astype(np.float64), octave)[:, None]
+    bones[used] = mean[used] / mean_length[used, None] * np.ldexp(counts, octave)[:, None]
     return bones, data[1 + (reader.at + 7) // 8 :]
 
 
