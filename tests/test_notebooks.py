@@ -30,8 +30,6 @@ def run(data: Path) -> nbformat.NotebookNode:
     with warnings.catch_warnings():
         # Sockets and event loops are the client's; what the notebook warns of is in the kernel, beyond this filter.
         warnings.filterwarnings("ignore", category=DeprecationWarning, module=r"(zmq|tornado|jupyter_client|nbclient)\b")
-        warnings.filterwarnings("ignore", category=RuntimeWarning, module=r"(zmq|tornado)\b")
-        warnings.filterwarnings("ignore", category=ResourceWarning)
         client.execute(env={**os.environ, "JAXMOCAP_DATA": str(data), "PYTHONWARNINGS": "default"})
     return notebook
 

@@ -272,11 +272,10 @@ def test_lsdt_never_loses_under_a_constant_schedule_and_stays_orthogonal(samples
 def test_lsdt_with_a_growing_schedule_ends_low_from_every_basis_and_beats_dct_and_dwt(samples):
     x = jnp.asarray(samples, jnp.float32)
     starts = [jnp.asarray(b, jnp.float32) for b in (dct_matrix(31), haar_matrix(31))]
-    fits = [fit_lsdt(x, start, growing(8, 200)) for start in starts]
+    fits = [fit_lsdt(x, start, growing(8, 300)) for start in starts]
     a, b = (np.asarray(fit.objective[-1]) for fit in fits)
-    # Mostly within 0.2 %, but over draws of frames one coordinate in ten or so ends up to 4 % from the other.
-    np.testing.assert_allclose(a, b, rtol=0.06)
-    stuck = np.mean([np.asarray(fit_lsdt(x, start, constant(8, 200)).objective[-1]) for start in starts], 0)
+    np.testing.assert_allclose(a, b, rtol=0.01)
+    stuck = np.mean([np.asarray(fit_lsdt(x, start, constant(8, 300)).objective[-1]) for start in starts], 0)
     assert (np.maximum(a, b) < 0.9 * stuck).all()
     flat = samples.transpose(0, 2, 1)
     codes = {
@@ -333,4 +332,4 @@ def test_lsdt_refuses_a_basis_of_another_size():
 def test_schedules():
     np.testing.assert_array_equal(constant(8, 3), [8, 8, 8])
     ramp = growing(8, 300)
-    assert ramp[0] == 1 and (np.diff(ramp) >= 0).all() and (ramp[150:] == 8).all() and ramp.max() == 8
+    assert (ramp[:90] == 1).all() and (np.diff(ramp) >= 0).all() and (ramp[210:] == 8).all() and ramp.max() == 8

@@ -32,14 +32,14 @@ from .entropy import integers
 from .lsdt_basis import Coding
 from .lsdt_model import CLIP_FRAMES, LsdtModel
 from .quantise import quantise, step_cm, step_index
-from .rate_control import coarsest, meets
+from .rate_control import coarsest, meets, out_of_reach
 from .rig import read_skeleton, write_skeleton
 
 NUMBER = 1
 CHUNK_CLIPS = 4
 FORMS = ("paper", "runs")
 _UNIT_FRAMES = 60
-_MOST_AT_ONCE = 1 << 25  # joint positions: three hours of a figure; a few bytes of a crafted stream could claim more
+_MOST_AT_ONCE = 1 << 23  # joint positions, 37 minutes of a figure: a crafted stream could claim more in a few bytes
 
 
 class LsdtClip(AbstractCodec):
@@ -76,10 +76,13 @@ class LsdtClip(AbstractCodec):
         if not source.known:
             band = coefficients_runs.bands(self.clip_frames, source.frame_rate)
             coding = lsdt_basis.fit_to_levels(coding, source.levels(coding, index), band, index)
-        while True:
+        while True:  # what the search found holds but for the rounding of bones
             data = self._write(source, coding, index)
-            if index == 0 or meets(source.error(self.decode(data)), target):
+            error = source.error(data, self.artifact)
+            if meets(error, target):
                 return data
+            if index == 0:
+                raise out_of_reach(error, target)
             index -= 1
 
     def decode(self, data: bytes, frames: slice | None = None) -> Motion:
@@ -203,10 +206,18 @@ class _Source:
             return start
         return coarsest(on_motion, target, start)
 
-    def error(self, decoded: Motion) -> tuple[float, float]:
-        """Mean and maximum joint error of a decoded motion, in cm, or in file units where the unit is unknown."""
-        mean, largest = _error(self.positions, pose(decoded).positions * self.scale)
-        return mean * self.motion.scale / self.scale, largest * self.motion.scale / self.scale
+    def error(self, data: bytes, artifact: Artifact) -> tuple[float, float]:
+        """Mean and maximum joint error of what a stream decodes to, in cm, or in file units where the unit is unknown."""
+        stream, frames = read_stream(data), self.motion.frame_count
+        part = _MOST_AT_ONCE // self.motion.skeleton.joint_count - 2 * stream.header.chunk_frames
+        total, largest = 0.0, 0.0
+        for start in range(0, frames, part):
+            original = self.positions[start : start + part]
+            decoded = decode(stream, artifact, slice(start, start + len(original)))
+            mean, most = _error(original, pose(decoded).positions * self.scale)
+            total, largest = total + mean * len(original), max(largest, most)
+        unit = self.motion.scale / self.scale
+        return total / frames * unit, largest * unit
 
 
 def _codable(motion: Motion) -> Motion:

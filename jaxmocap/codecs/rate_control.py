@@ -29,11 +29,16 @@ def coarsest(distortion: Distortion, target: Target, start: int = STEPS // 2) ->
         aim = index + math.floor(PER_OCTAVE * math.log2(ratio) / 0.8)
         index = min(max(aim, low + 1), high - 1)
     if low < 0:
-        raise JaxmocapError(
-            f"a {target.kind} error of {target.cm:g} cm is out of this codec's reach on this motion: "
-            f"its finest step leaves mean {error[0]:.4g} and max {error[1]:.4g} cm"
-        )
+        raise out_of_reach(error, target)
     return low
+
+
+def out_of_reach(error: tuple[float, float], target: Target) -> JaxmocapError:
+    """The error for a target that the finest step misses, by how much."""
+    return JaxmocapError(
+        f"a {target.kind} error of {target.cm:g} cm is out of this codec's reach on this motion: "
+        f"its finest step leaves mean {error[0]:.4g} and max {error[1]:.4g} cm"
+    )
 
 
 def meets(error: tuple[float, float], target: Target) -> bool:

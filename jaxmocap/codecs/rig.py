@@ -22,7 +22,7 @@ LENGTHS, OFFSETS, WHOLE = 0, 1, 2
 # Bones are 32 to 64 times finer than the coefficients, whose mean error is near a twentieth of their step.
 _FINER_OCTAVES = 6
 _FIXED_POINT = 16
-_MOST_JOINTS = 1 << 16
+_MOST_JOINTS = 1 << 12
 
 
 @dataclass(frozen=True)

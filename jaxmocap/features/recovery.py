@@ -63,31 +63,34 @@ def recover(
     world = np.empty((3, 3, joints + 1, frames), seen.dtype)
     world[:, :, -1] = rot.identity((frames,), seen)  # the parent of the roots
     placed = np.empty_like(seen)
+    children = skeleton.children
     local = np.empty_like(world[:, :, :joints])
     for j, parent in enumerate(skeleton.parents):
         above = world[:, :, parent]
         offset = skeleton.offsets[j, :, None].astype(seen.dtype)
         placed[:, j] = seen[:, j] if parent < 0 else placed[:, parent] + rot.apply(above, offset)
         predicted = rot.multiply(above, assumed[j, :, :, None].astype(seen.dtype))
-        bones = [(place, seen[:, t] - placed[:, j]) for t, place in _targets(skeleton, j, assumed)]
+        bones = [(place, seen[:, t] - placed[:, j]) for t, place in _targets(skeleton, children, j, assumed)]
         turned = _turn(predicted, bones)
         local[:, :, j] = _allowed(skeleton, j, rot.multiply(rot.transpose(above), turned))
         world[:, :, j] = rot.multiply(above, local[:, :, j])
     return Recovered(np.asarray(values_of(skeleton, local, seen)), placed.transpose(2, 1, 0))
 
 
-def _targets(skeleton: Skeleton, joint: int, assumed: np.ndarray) -> list[tuple[int, np.ndarray]]:
+def _targets(
+    skeleton: Skeleton, children: tuple[tuple[int, ...], ...], joint: int, assumed: np.ndarray
+) -> list[tuple[int, np.ndarray]]:
     """The joints at the far ends of the bones that `joint` turns, and their places in its frame.
 
     Children on top of their parent are looked through: their bones start at the same point.
     """
     found: list[tuple[int, np.ndarray]] = []
-    ahead = [(c, np.eye(3)) for c in skeleton.children[joint]]
+    ahead = [(c, np.eye(3)) for c in children[joint]]
     for child, frame in ahead:
         if np.any(skeleton.offsets[child] != 0):
             found.append((child, frame @ skeleton.offsets[child]))
         else:
-            ahead += [(c, frame @ assumed[child]) for c in skeleton.children[child]]
+            ahead += [(c, frame @ assumed[child]) for c in children[child]]
     return found
 
 
