@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import NamedTuple
 
 import jax
@@ -43,6 +44,7 @@ class Cut(NamedTuple):
         return 1 << (self.clip_count - 1).bit_length()
 
 
+@functools.lru_cache(maxsize=16)
 def cut(frames: int, clip_frames: int) -> Cut:
     """The DCT matrix of a full clip, and that of the last clip in the corner of a matrix of the same size."""
     full = dct_matrix(clip_frames).astype(np.float32)
