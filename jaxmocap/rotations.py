@@ -10,8 +10,6 @@ from jaxtyping import Array, Float
 
 from . import components
 
-_AXIS = {"X": 0, "Y": 1, "Z": 2}
-
 
 def multiply(a: Float[Array, "... 3 3"], b: Float[Array, "... 3 3"]) -> Float[Array, "... 3 3"]:
     """The matrix product a b."""

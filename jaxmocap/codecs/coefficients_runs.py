@@ -16,7 +16,7 @@ from jaxtyping import Int
 
 from ..errors import CorruptStream
 from .entropy import integers
-from .entropy.range_coder import RangeDecoder, RangeEncoder
+from .entropy.range_coder import Decoder, RangeDecoder, RangeEncoder
 from .entropy.tables import FrequencyTable
 from .quantise import PER_OCTAVE
 
@@ -159,7 +159,9 @@ def decode_clips(
     return clips
 
 
-def _decode_coordinate(coder, count: int, scan: Scan, tables: RunTables, step_index: int) -> tuple[list[int], list[int]]:
+def _decode_coordinate(
+    coder: Decoder, count: int, scan: Scan, tables: RunTables, step_index: int
+) -> tuple[list[int], list[int]]:
     contexts = _value_context(scan.scale, step_index).tolist()
     places, values = [], []
     start, square = 0, (count + 1) ** 2
@@ -175,7 +177,7 @@ def _decode_coordinate(coder, count: int, scan: Scan, tables: RunTables, step_in
     return places, values
 
 
-def _get(coder, table: FrequencyTable) -> int:
+def _get(coder: Decoder, table: FrequencyTable) -> int:
     symbol = coder.decode(table)
     bits = integers.raw_bits(symbol)
     return integers.join(symbol, coder.decode_bits(bits)) if bits else symbol

@@ -99,11 +99,6 @@ def write_stream(header: Header, chunks: list[bytes]) -> bytes:
     return bytes(out)
 
 
-def is_stream(data: bytes) -> bool:
-    """True when the bytes begin as a stream does."""
-    return data[: len(MAGIC)] == MAGIC
-
-
 def read_stream(data: bytes) -> Stream:
     """A stream with all of its lengths checked, and its header verified through the checksum of the first chunk.
 

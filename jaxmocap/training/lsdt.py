@@ -165,7 +165,7 @@ class _Trainer:
         return [clips[n : n + CHUNK_CLIPS] for n in range(0, len(clips), CHUNK_CLIPS)]
 
     def _frame_rate(self, state: State) -> int:
-        return round(1 / float(state["unit"][1]))
+        return coefficients_runs.frame_rate(float(state["unit"][1]))
 
     def model(self, state: State) -> LsdtModel:
         """The model of the final state."""
