@@ -15,9 +15,9 @@ LAYERS = ("core", "codecs", "training", "top")  # each may import itself and tho
 TOP = ("bench", "commands", "__main__")
 OUTSIDE = {
     "core": {"jax", "equinox", "numpy", "scipy", "jaxtyping"},
-    "codecs": {"jax", "equinox", "numpy", "scipy", "jaxtyping", "constriction", "safetensors"},
+    "codecs": {"jax", "equinox", "numpy", "scipy", "jaxtyping", "constriction", "safetensors", "zstandard"},
     "training": {"jax", "equinox", "numpy", "scipy", "jaxtyping", "safetensors", "optax", "matplotlib"},
-    "top": {"jax", "equinox", "numpy", "scipy", "jaxtyping", "matplotlib", "tyro"},
+    "top": {"jax", "equinox", "numpy", "scipy", "jaxtyping", "matplotlib", "tyro", "tqdm"},
 }
 
 
@@ -53,7 +53,7 @@ def test_imports_go_down_only(file: Path):
 
 
 def test_importing_jaxmocap_is_light():
-    heavy = ("optax", "matplotlib", "tyro", "constriction", "scipy")
+    heavy = ("optax", "matplotlib", "tyro", "constriction", "scipy", "zstandard", "tqdm")
     code = f"import sys, jaxmocap; print([m for m in {heavy} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

@@ -10,7 +10,10 @@ from .demo import Demo
 from .encode import Encode
 from .export import Export
 from .info import Info
+from .ls import Ls
+from .pack import Pack
 from .train import Train
+from .unpack import Unpack
 from .view import View
 
 COMMANDS: dict[str, type[Command]] = {
@@ -19,6 +22,9 @@ COMMANDS: dict[str, type[Command]] = {
     "encode": Encode,
     "decode": Decode,
     "compare": Compare,
+    "pack": Pack,
+    "unpack": Unpack,
+    "ls": Ls,
     "train": Train,
     "export": Export,
     "view": View,

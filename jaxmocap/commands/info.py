@@ -1,4 +1,4 @@
-"""`jaxmocap info`: what a motion file, a stream or a model holds."""
+"""`jaxmocap info`: what a motion file, a stream, a database or a model holds."""
 
 from __future__ import annotations
 
@@ -7,25 +7,29 @@ from pathlib import Path
 
 from ..errors import ModelMismatch
 from .base import Command, Input, Report, load_model, read_file, table
+from .database import open_database
 
 
 @dataclass(kw_only=True)
 class Info(Command):
-    """Describe a motion file, a stream or a model."""
+    """Describe a motion file, a stream, a database or a model."""
 
     input: Input
-    """Any motion file, .jmc stream or .safetensors model."""
+    """Any motion file, .jmc stream or database, or .safetensors model."""
     unit_cm: float | None = None
     """Centimetres per file unit."""
     model: Path | None = None
     """The model that a stream needs, where it is neither shipped nor embedded."""
 
     def run(self) -> Report:
+        from ..codecs.archive import HEAD_BYTES, is_archive
         from ..codecs.container import SUFFIX
 
         suffix = self.input.suffix.lower()
         if suffix == SUFFIX:
-            return {"bytes": self.input.stat().st_size, **self._stream()}
+            with self.input.open("rb") as file:
+                described = self._database() if is_archive(file.read(HEAD_BYTES)) else self._stream()
+            return {"bytes": self.input.stat().st_size, **described}
         if suffix == ".safetensors":
             return {"bytes": self.input.stat().st_size, **self._model()}
         return {"bytes": self.input.stat().st_size, **self._motion()}
@@ -56,6 +60,24 @@ class Info(Command):
         except ModelMismatch as error:
             return {**report, "frames": header.frames, "skeleton": f"unknown: {error}"}
         return {**report, **_described(one), "frames": header.frames, "seconds": header.frames * one.frame_time}
+
+    def _database(self) -> Report:
+        from ..codecs.archive import VERSION
+        from ..codecs.archive_index import BLOB, NUMBERS
+        from ..codecs.container import DIGEST_BYTES
+
+        archive = open_database(self.input).archive
+        shared, kinds = archive.shared, [entry.kind for entry in archive.entries]
+        model = shared.model.hex() if len(shared.model) <= DIGEST_BYTES else "embedded"
+        return {
+            "format": f"jmd {VERSION}",
+            "codec": shared.codec or None,
+            "model": model or None,
+            "files": sum(kind >= BLOB for kind in kinds),
+            "motion_files": sum(kind >= NUMBERS for kind in kinds),
+            "text_bytes": sum(entry.size for entry in archive.entries),
+            "sections": archive.section_bytes(),
+        }
 
     def _model(self) -> Report:
         from ..codecs.artifact import load_artifact

@@ -1,0 +1,3 @@
+"""The codec `exact`: motion text to the byte, as small as we can."""
+
+from .codec import Exact as Exact

@@ -1,0 +1,102 @@
+"""`exact`: byte-exact coding of the numbers of motion texts, as small as we can.
+
+A rig model says which columns are constant, which follow from others by laws, and how the rest moves. Every table decodes
+by itself with the model alone: its payload holds the few things in which it differs from its rig, and then the lanes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Int32
+
+from ...errors import CorruptStream, FormatError
+from .tables import decode_table, encode_table
+from ..artifact import Artifact, find_artifact, load_artifact, parse_artifact, shipped_models
+from ..bitstream import ByteReader, varint
+from .rig_fit import fit_rig, plain_rig
+from .model import CODEC, RigModel, from_artifact, to_artifact
+from ..lossless import AbstractNumberCodec, NumberTable
+from ..squeeze import expand, squeeze
+
+_DIGEST_BYTES = 4
+_LEARNING_FRAMES = 1500  # tables with fewer frames do not pay for a model of their own
+_MAX_FRAMES = 1 << 28
+Rows = Int32[np.ndarray, "frames columns"]
+
+
+class Exact(AbstractNumberCodec):
+    """`artifact` is a rig model besides the shipped ones; tables that none fits have theirs learned, and stored."""
+
+    artifact: Artifact | None = None
+
+    def encode(self, tables: Sequence[NumberTable]) -> tuple[bytes, list[bytes]]:
+        groups: dict[tuple[tuple[str, ...], int], list[int]] = {}
+        for n, table in enumerate(tables):
+            groups.setdefault((table.columns, table.decimals), []).append(n)
+        shared, payloads = varint(len(groups)), [b""] * len(tables)
+        for number, members in enumerate(groups.values()):
+            model_bytes, coded = self._encode_rig([tables[n] for n in members])
+            shared += model_bytes
+            for n, data in zip(members, coded, strict=True):
+                payloads[n] = varint(number) + data
+        return shared, payloads
+
+    def _encode_rig(self, tables: list[NumberTable]) -> tuple[bytes, list[bytes]]:
+        """A model that is at hand, or else the cheapest of those that can be learned."""
+        known = self._known(tables[0])
+        if known is not None:
+            model = from_artifact(known)
+            return b"\0" + bytes.fromhex(known.digest)[:_DIGEST_BYTES], [encode_table(model, t) for t in tables]
+        corpus = _digest(tables)
+        learned = [plain_rig(tables)]
+        if sum(len(t.integers) for t in tables) >= _LEARNING_FRAMES:
+            learned.append(fit_rig(tables))
+        choices = []
+        for model in learned:
+            raw = to_artifact(model, corpus).data
+            data = squeeze(raw)
+            choices.append((b"\1" + varint(len(raw)) + varint(len(data)) + data, [encode_table(model, t) for t in tables]))
+        return min(choices, key=lambda c: len(c[0]) + sum(map(len, c[1])))
+
+    def _known(self, table: NumberTable) -> Artifact | None:
+        at_hand = [self.artifact] if self.artifact is not None else []
+        shipped = [a for a in map(load_artifact, shipped_models()) if a.spec.get("codec") == CODEC]
+        for artifact in at_hand + shipped:
+            if from_artifact(artifact).fits(table.columns, table.decimals):
+                return artifact
+        return None
+
+    def decode(self, shared: bytes, payload: Callable[[int], bytes], which: Sequence[int]) -> list[NumberTable]:
+        models = self._models(shared)
+        tables = []
+        for n in which:
+            reader = ByteReader(payload(n))
+            number = reader.varint()
+            if number >= len(models):
+                raise CorruptStream(f"a table names rig {number}, the archive holds {len(models)}")
+            tables.append(decode_table(models[number], reader))
+        return tables
+
+    def _models(self, shared: bytes) -> list[RigModel]:
+        reader = ByteReader(shared)
+        models = []
+        for _ in range(reader.varint()):
+            if reader.byte():
+                size = reader.varint()
+                artifact = parse_artifact(expand(reader.take(reader.varint()), size), "the archive's rig model")
+            else:
+                artifact = find_artifact(reader.take(_DIGEST_BYTES), self.artifact)
+            models.append(from_artifact(artifact))
+        return models
+
+
+def _digest(tables: Sequence[NumberTable]) -> str:
+    total = hashlib.sha256()
+    for table in tables:
+        total.update(np.ascontiguousarray(table.integers).tobytes())
+    return total.hexdigest()

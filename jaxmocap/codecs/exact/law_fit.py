@@ -1,0 +1,204 @@
+"""Finds the laws of a rig in its tables: which joints have one or two axes, and which aim where a neighbour points."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float, Int32
+
+from .laws import AbstractLaw, Aimed, Angles, Constrained, Joint, residuals, wrapped
+from .trigonometry import sine_cosine
+
+Table = Int32[np.ndarray, "frames columns"]
+_SAMPLES = 6000
+_NULL = 4e-6  # of a law's violation, so much the rounding of angles explains
+_ROUNDING = 5e-7
+_REWEIGHTINGS = 10
+_PARTS = 12
+_MOST, _SOME = 0.9, 0.2  # of the frames keep a law
+_POLISHINGS = 4
+_DIFFERENCE = 1e-6
+_STEEP = 1e8  # 1e-4 degrees by unit: beyond, a law tells its target badly
+DECIMALS = 4  # the tables here are in 1e-4 degrees
+_TURN = 3_600_000
+
+
+def joints(columns: Sequence[str]) -> list[Joint]:
+    """The joints with three rotation columns about different axes, in degrees."""
+    found: dict[str, list[tuple[int, int]]] = {}
+    for n, name in enumerate(columns):
+        joint, _, channel = name.rpartition(" ")
+        if channel in ("Xrotation", "Yrotation", "Zrotation"):
+            found.setdefault(joint, []).append((n, "XYZ".index(channel[0])))
+    return [
+        Joint(tuple(n for n, _ in c), tuple(a for _, a in c))  # pyright: ignore[reportArgumentType]
+        for c in found.values()
+        if len(c) == 3 and {a for _, a in c} == {0, 1, 2}
+    ]
+
+
+def fit_geometry(table: Table, columns: Sequence[str]) -> list[AbstractLaw]:
+    """Laws of single joints, then of pairs, each measured on the table; in an order in which all inputs come first."""
+    chosen = table[np.linspace(0, len(table) - 1, min(len(table), _SAMPLES)).astype(int)]
+    moving = (chosen != chosen[0]).any(0)
+    candidates = [j for j in joints(columns) if moving[list(j.columns)].all()]
+    matrices = {j: _matrices(chosen, j) for j in candidates}
+    best = {j: _joint_laws(chosen, j, m) for j, m in matrices.items()}
+    return [law for laws in best.values() for law in laws] + _aimed_laws(chosen, matrices, best)
+
+
+def _matrices(table: Table, joint: Joint) -> Float[np.ndarray, "frames 3 3"]:
+    total = np.broadcast_to(np.eye(3), (len(table), 3, 3))
+    for column, axis in zip(joint.columns, joint.axes, strict=True):
+        s, c = sine_cosine(table[:, column].astype(np.float64))
+        turn = np.zeros((len(table), 3, 3))
+        j, k = (axis + 1) % 3, (axis + 2) % 3
+        turn[:, axis, axis], turn[:, j, j], turn[:, k, k] = 1.0, c, c
+        turn[:, k, j], turn[:, j, k] = s, -s
+        total = total @ turn
+    return total
+
+
+def _joint_laws(table: Table, joint: Joint, matrices: Float[np.ndarray, "frames 3 3"]) -> list[AbstractLaw]:
+    axis, kept = _null(matrices - np.eye(3))
+    sets = _hinge_laws(joint, axis) if kept > _MOST else []
+    if not sets and (zero := _zero_entry(matrices)) is not None:
+        sets = [[law] for law in _universal_laws(joint, *zero)]
+    settled = [[_polished(table, _branched(table, law)) for law in laws] for laws in sets]
+    return min(settled, key=lambda laws: _cost(table, joint, laws), default=[])
+
+
+def _cost(table: Table, joint: Joint, laws: Sequence[AbstractLaw]) -> float:
+    """Bits of what the laws leave, and of the second differences of the angles that stay free."""
+    targets = [t for law in laws for t in law.targets]
+    free = [c for c in joint.columns if c not in targets]
+    change = wrapped(np.diff(table[:, free].astype(np.int64), axis=0), DECIMALS).T
+    return sum(_bits(residuals(law, table, DECIMALS)) for law in laws) + _bits(change)
+
+
+def _hinge_laws(joint: Joint, axis: np.ndarray) -> list[list[Constrained]]:
+    """R n = n, with each of the three angles free in turn."""
+    n: tuple[float, float, float] = tuple(axis.tolist())
+    unit = np.eye(3).tolist()
+    e0, e1, e2 = (tuple(unit[a]) for a in joint.axes)
+    last = Constrained(joint, 2, (1,), e0, n, n[joint.axes[0]], 1)
+    middle_by_last = Constrained(joint, 1, (2,), e0, n, n[joint.axes[0]], 1)
+    middle_by_first = Constrained(joint, 1, (0,), n, e2, n[joint.axes[2]], 1)
+    first = Constrained(joint, 0, (1, 2), n, n, 1.0, 0)
+    aligned_last = Constrained(joint, 2, (0, 1), n, n, 1.0, 0)
+    first_by_middle = Constrained(joint, 0, (1,), n, e2, n[joint.axes[2]], 1)
+    return [[middle_by_last, first], [last, first], [middle_by_first, aligned_last], [first_by_middle, aligned_last]]
+
+
+def _universal_laws(joint: Joint, u: np.ndarray, v: np.ndarray, g: float) -> list[Constrained]:
+    uu, vv = tuple(u.tolist()), tuple(v.tolist())
+    return [Constrained(joint, m, tuple(k for k in range(3) if k != m), uu, vv, g, 1) for m in range(3)]
+
+
+def _branched(table: Table, law: Constrained) -> Constrained:
+    if law.branch == 0:
+        return law
+    both = [replace(law, branch=b) for b in (1, -1)]
+    return min(both, key=lambda x: _bits(residuals(x, table, DECIMALS)))
+
+
+def _aimed_laws(table: Table, matrices: dict[Joint, np.ndarray], best: dict[Joint, list[AbstractLaw]]) -> list[AbstractLaw]:
+    """Joints of two axes that point where another joint does; a joint that is aimed is no source."""
+    aimed: dict[Joint, AbstractLaw] = {}
+    for source, joint in itertools.permutations(matrices, 2):
+        own = [law for law in best[joint] if isinstance(law, Constrained)]
+        if joint in aimed or source in aimed or len(own) != 1:
+            continue
+        pair, kept = _null(np.concatenate([matrices[joint], -matrices[source]], 2))
+        if kept < _SOME or np.linalg.norm(pair[:3]) < 0.5 or np.linalg.norm(pair[3:]) < 0.5:
+            continue
+        d, k = (tuple((p / np.linalg.norm(p)).tolist()) for p in (pair[:3], pair[3:]))
+        third = own[0]
+        laws = [Aimed(joint, source, third.unknown, d, k, third.u, third.v, third.g, b) for b in (1, -1)]
+        law = _polished(table, min(laws, key=lambda x: _bits(residuals(x, table, DECIMALS))))
+        free = wrapped(np.diff(table[:, list(law.targets)].astype(np.int64), 2, axis=0), DECIMALS).T
+        if _bits(residuals(law, table, DECIMALS)) < _bits(free):
+            aimed[joint] = law
+    return list(aimed.values())
+
+
+def _null(rows: Float[np.ndarray, "frames equations n"]) -> tuple[np.ndarray, float]:
+    """The unit vector that most frames come nearest to annihilating, and the share of frames that it does.
+
+    Begun from the part of the frames that keeps a law best, then reweighted until frames that break it (a hand held by a
+    limit, a glitch, another person) have no say.
+    """
+    starts = [_annihilated(part, np.ones(len(part))) for part in (rows, *np.array_split(rows, _PARTS))]
+    vector = min(starts, key=lambda v: float(np.log(_violation(rows, v) + _ROUNDING).sum()))
+    for _ in range(_REWEIGHTINGS):
+        vector = _annihilated(rows, 1 / np.maximum(_violation(rows, vector), _ROUNDING))
+    return vector, float((_violation(rows, vector) < _NULL).mean())
+
+
+def _annihilated(rows: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    flat = (rows * weights[:, None, None]).reshape(-1, rows.shape[-1])
+    return np.linalg.eigh(flat.T @ flat)[1][:, 0]
+
+
+def _violation(rows: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    return np.sqrt(((rows @ vector) ** 2).sum(1))
+
+
+def _zero_entry(matrices: Float[np.ndarray, "frames 3 3"]) -> tuple[np.ndarray, np.ndarray, float] | None:
+    """u, v and g of the one bilinear law u^T R v = g that a joint of two axes keeps, or None."""
+    entries = np.concatenate([matrices.reshape(-1, 1, 9), -np.ones((len(matrices), 1, 1))], 2)
+    vector, kept = _null(entries)
+    if kept < _MOST:
+        return None
+    left, strength, right = np.linalg.svd(vector[:9].reshape(3, 3))
+    if strength[1] > 1e-3 * strength[0]:
+        return None
+    return left[:, 0], right[0], float(vector[9] / strength[0])
+
+
+def _polished(table: Table, law: AbstractLaw) -> AbstractLaw:
+    """The law with its numbers where it fits best, by Gauss and Newton on what it leaves; in units of 2^-32."""
+    numbers = np.array(law.numbers)
+    angles = table.T.astype(np.float64)
+    targets = angles[list(law.targets)]
+
+    def leaves(x: np.ndarray) -> np.ndarray:
+        left = targets - np.stack(law.with_numbers(x).predict(angles))
+        return (left - _TURN * np.rint(left / _TURN)).ravel()
+
+    for _ in range(_POLISHINGS):
+        left = leaves(numbers)
+        weights = 1 / np.maximum(np.abs(left), 1.0) ** 2
+        slopes = np.stack([(leaves(numbers + step) - left) / _DIFFERENCE for step in _DIFFERENCE * np.eye(len(numbers))])
+        usable = (np.abs(slopes) < _STEEP).all(0) & (np.abs(left) < 100)
+        slopes = slopes * (weights * usable)
+        gram = slopes @ (slopes / np.where(weights > 0, weights, 1.0)).T
+        ridged = gram + 1e-9 * np.trace(gram) * np.eye(len(gram)) + 1e-12 * np.eye(len(gram))
+        numbers = numbers - np.linalg.solve(ridged, slopes @ left)
+    best = law.with_numbers(np.rint(numbers * 2.0**32) / 2.0**32)
+    return best if _bits(residuals(best, table, DECIMALS)) < _bits(residuals(law, table, DECIMALS)) else law
+
+
+def _bits(rows: np.ndarray) -> float:
+    """What integers cost, all rows together, in bits a frame: the entropy of their octave, and the bits below it."""
+    total = 0.0
+    for row in rows:
+        octave = np.frexp(np.abs(row).astype(np.float64))[1]
+        share = np.unique(octave, return_counts=True)[1] / len(row)
+        total += float(octave.mean() - (share * np.log2(share)).sum())
+    return total
+
+
+def causal(laws: Sequence[AbstractLaw]) -> Iterator[AbstractLaw]:
+    """The laws in an order in which the targets of each come before they are inputs."""
+    waiting = list(laws)
+    while waiting:
+        open_targets = {t for law in waiting for t in law.targets}
+        ready = [law for law in waiting if not open_targets & set(law.inputs)]
+        yield from ready
+        waiting = [law for law in waiting if law not in ready]
+        if not ready:
+            raise ValueError("laws lean on each other in a circle")

@@ -1,0 +1,102 @@
+"""The rig model of `exact`: what a rig teaches, as an artifact that is shipped, or learned and stored in an archive."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Int32
+
+from ...errors import FormatError
+from ..artifact import Artifact, make_artifact
+from .lanes import LaneModel
+from .laws import AbstractLaw, law_from_spec, law_spec
+
+CODEC = "exact"
+
+
+@dataclass(frozen=True, eq=False)
+class RigModel:
+    """`columns` and `decimals` say which tables it is for. `rest` is the row of the rest pose, which files may begin with;
+    `constant` marks columns that always have the value of `mean`; `moving` are the lanes in causal order, and then come the
+    targets of the `laws`, whose inputs come before them. `signs`: the usual modes of the zeros' signs. `header` is text that
+    files of the rig share.
+    """
+
+    columns: tuple[str, ...]
+    decimals: int
+    rest: Int32[np.ndarray, " columns"]
+    mean: Int32[np.ndarray, " columns"]
+    moving: tuple[int, ...]
+    laws: tuple[AbstractLaw, ...]
+    lanes: LaneModel
+    signs: tuple[int, ...]
+    header: bytes = b""
+
+    @property
+    def targets(self) -> tuple[int, ...]:
+        return tuple(t for law in self.laws for t in law.targets)
+
+    @property
+    def constant(self) -> tuple[int, ...]:
+        coded = {*self.moving, *self.targets}
+        return tuple(c for c in range(len(self.columns)) if c not in coded)
+
+    def turns(self, column: int) -> bool:
+        """True for angles in degrees."""
+        return is_angle(self.columns[column])
+
+    def fits(self, columns: Sequence[str], decimals: int) -> bool:
+        return tuple(columns) == self.columns and decimals == self.decimals
+
+
+def is_angle(column: str) -> bool:
+    """True for a column of angles in degrees, which turn round at 180."""
+    return column.endswith("rotation")
+
+
+def to_artifact(model: RigModel, corpus: str) -> Artifact:
+    """`corpus` is the digest of the files that taught it."""
+    spec = {
+        "codec": CODEC,
+        "corpus": corpus,
+        "columns": list(model.columns),
+        "decimals": model.decimals,
+        "moving_lanes": model.lanes.moving,
+        "laws": [law_spec(law) for law in model.laws],
+    }
+    lanes = model.lanes
+    tensors = {
+        "rest": model.rest,
+        "mean": model.mean,
+        "moving": np.array(model.moving, np.int32),
+        "signs": np.array(model.signs, np.int32),
+        "header": np.frombuffer(model.header, np.uint8),
+        "lanes.weights": lanes.weights,
+        "lanes.own": lanes.own,
+        "lanes.shared": lanes.shared,
+        "lanes.start": lanes.start,
+        "lanes.frequencies": lanes.frequencies,
+        **{f"law.{n}": np.array(law.numbers) for n, law in enumerate(model.laws)},
+    }
+    return make_artifact(spec, tensors)
+
+
+def from_artifact(artifact: Artifact) -> RigModel:
+    """Raises FormatError where the artifact is of another codec."""
+    spec, tensors = artifact.spec, artifact.tensors
+    if spec.get("codec") != CODEC:
+        raise FormatError(f"the model is for the codec {spec.get('codec')!r}, wanted one for {CODEC!r}")
+    names = ("weights", "own", "shared", "start", "frequencies")
+    return RigModel(
+        tuple(spec["columns"]),
+        spec["decimals"],
+        tensors["rest"],
+        tensors["mean"],
+        tuple(tensors["moving"].tolist()),
+        tuple(law_from_spec(s, tensors[f"law.{n}"].tolist()) for n, s in enumerate(spec["laws"])),
+        LaneModel(spec["moving_lanes"], *(tensors[f"lanes.{n}"] for n in names)),
+        tuple(tensors["signs"].tolist()),
+        tensors["header"].tobytes(),
+    )

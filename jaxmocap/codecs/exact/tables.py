@@ -1,0 +1,222 @@
+"""A number table as a payload, given its rig: the few things in which it differs from the rig, and the lanes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Int32
+
+from ...errors import CorruptStream
+from ..bitstream import ByteReader, varint
+from ..lossless import NumberTable
+from ..squeeze import expand, squeeze
+from . import lanes, signs
+from .laws import residuals, restored, wrapped
+from .model import RigModel
+
+Rows = Int32[np.ndarray, "frames columns"]
+_FRAMES_A_BYTE = 4096  # no frame costs less
+_RESTS, _ODD = 1, 2
+
+
+@dataclass
+class Exceptions:
+    """What a table's rig does not say of it.
+
+    `unwrapped`: angles that are not taken to turn past 180 degrees. `lawless`: laws (by number) that the table breaks, whose
+    targets are extrapolated instead. `strays`: columns that are not constant though the rig's are, or too wild for a lane.
+    """
+
+    unwrapped: list[int] = field(default_factory=list)
+    lawless: list[int] = field(default_factory=list)
+    strays: list[int] = field(default_factory=list)
+
+
+def encode_table(model: RigModel, table: NumberTable) -> bytes:
+    """Frames, side information and lanes; the side information begins in the 16 bits that every lane has to spare."""
+    rests = _begins_with_rest(model, table.integers)
+    body = table.integers[1:] if rests else table.integers
+    odd = _exceptions(model, body)
+    values = to_lanes(model, body, odd)
+    while wild := _wild(model, values):
+        odd.strays = sorted({*odd.strays, *wild})
+        values = to_lanes(model, body, odd)
+    any_odd = bool(odd.unwrapped or odd.lawless or odd.strays)
+    side = _rest_bytes(model, table.integers) if rests else b""
+    if any_odd:
+        side += b"".join(map(_list_bytes, (odd.unwrapped, odd.lawless, odd.strays)))
+        side += b"".join(_stray_bytes(body[:, c]) for c in odd.strays)
+    side += signs.encode(table.integers == 0, table.negative_zeros, model.signs)
+    coded, more = lanes.encode(model.lanes, values, side) if values.size else (b"", side)
+    head = varint(len(table.integers) << 2 | any_odd * _ODD | rests * _RESTS)
+    return head + varint(len(side)) + more + coded
+
+
+def decode_table(model: RigModel, reader: ByteReader) -> NumberTable:
+    """What `encode_table` wrote. Raises CorruptStream or TruncatedStream."""
+    head, length = reader.varint(), reader.varint()
+    frames, rests = head >> 2, bool(head & _RESTS)
+    if frames > _FRAMES_A_BYTE * (reader.left + 1) or frames < rests:
+        raise CorruptStream(f"a payload of {reader.left} bytes cannot hold {frames} frames")
+    body_frames, count = frames - rests, model.lanes.count
+    spare = min(length, 2 * count) if body_frames and count else 0
+    more = reader.take(length - spare)
+    values, begun = np.zeros((body_frames, count), np.int32), b""
+    if values.size:
+        values, begun = lanes.decode(model.lanes, reader, body_frames, spare)
+    side = ByteReader(begun + more)
+    first = _read_rest(model, side) if rests else None
+    odd = Exceptions()
+    if head & _ODD:
+        odd = Exceptions(*(_read_list(side, n) for n in (len(model.moving), len(model.laws), len(model.columns))))
+    strays = {c: _read_stray(side, body_frames) for c in odd.strays}
+    body = from_lanes(model, values, odd, strays)
+    integers = body if first is None else np.concatenate([_first_row(model, first, body), body])
+    negative = signs.decode(side, integers == 0, model.signs)
+    return NumberTable(model.columns, integers, negative, model.decimals)
+
+
+def to_lanes(model: RigModel, body: Rows, odd: Exceptions) -> Int32[np.ndarray, "frames lanes"]:
+    """The lanes' values: the moving columns about their means, and what the laws leave of their targets."""
+    out = []
+    for n, c in enumerate(model.moving):
+        column = body[:, c] if n in odd.unwrapped else unwrapped(model, body[:, c], c)
+        out.append(np.zeros_like(column) if c in odd.strays else column - model.mean[c])
+    for n, law in enumerate(model.laws):
+        left = [_extrapolated(model, body, c) for c in law.targets] if n in odd.lawless else residuals(law, body, model.decimals)
+        out += [np.zeros_like(x) if c in odd.strays else x for c, x in zip(law.targets, left, strict=True)]
+    return np.stack(out, 1).astype(np.int32) if out else np.zeros((len(body), 0), np.int32)
+
+
+def from_lanes(model: RigModel, values: Int32[np.ndarray, "frames lanes"], odd: Exceptions, strays: dict[int, np.ndarray]) -> Rows:
+    """The inverse of `to_lanes`."""
+    body = np.tile(model.mean, (len(values), 1))
+    for n, c in enumerate(model.moving):
+        column = values[:, n] + model.mean[c]
+        body[:, c] = column if n in odd.unwrapped or not model.turns(c) else wrapped(column, model.decimals)
+    for c, column in strays.items():
+        body[:, c] = column
+    lane = len(model.moving)
+    for n, law in enumerate(model.laws):
+        left = values[:, lane : lane + len(law.targets)].T
+        lane += len(law.targets)
+        if n in odd.lawless:
+            columns = [wrapped(np.cumsum(np.cumsum(x, dtype=np.int64)) + model.mean[c], model.decimals) for c, x in zip(law.targets, left, strict=True)]
+        else:
+            columns = restored(law, body, left, model.decimals)
+        for c, column in zip(law.targets, columns, strict=True):
+            if c not in strays:
+                body[:, c] = column
+    return body
+
+
+def unwrapped(model: RigModel, column: Int32[np.ndarray, " frames"], c: int) -> Int32[np.ndarray, " frames"]:
+    """An angle that goes on past 180 degrees; other columns as they are."""
+    if not model.turns(c):
+        return column
+    steps = np.diff(column.astype(np.int64), prepend=column[:1])
+    return (column[:1] + np.cumsum(wrapped(steps, model.decimals))).astype(np.int32)
+
+
+def _extrapolated(model: RigModel, body: Rows, c: int) -> np.ndarray:
+    """Second differences, from the mean on, of a column whose law does not hold."""
+    column = unwrapped(model, body[:, c], c).astype(np.int64) - model.mean[c]
+    return np.diff(column, 2, prepend=[0, 0])
+
+
+def _exceptions(model: RigModel, body: Rows) -> Exceptions:
+    odd = Exceptions()
+    if not len(body):
+        return odd
+    constant = list(model.constant)
+    odd.strays = [c for c in constant if (body[:, c] != model.mean[c]).any()]
+    for n, c in enumerate(model.moving):
+        if model.turns(c) and (wrapped(body[:, c].astype(np.int64), model.decimals) != body[:, c]).any():
+            odd.unwrapped.append(n)
+    for n, law in enumerate(model.laws):
+        left = residuals(law, body, model.decimals)
+        whole = all((r == body[:, c]).all() for c, r in zip(law.targets, restored(law, body, left, model.decimals), strict=True))
+        free = [_extrapolated(model, body, c) for c in law.targets]
+        in_range = all((wrapped(body[:, c].astype(np.int64), model.decimals) == body[:, c]).all() for c in law.targets)
+        if not in_range:
+            odd.strays += list(law.targets)
+        elif not whole or _cost(free) < _cost(left):
+            odd.lawless.append(n)
+    odd.strays = sorted(odd.strays)
+    return odd
+
+
+def _cost(columns: Sequence[np.ndarray]) -> float:
+    return sum(float(np.log2(np.abs(x) + 1.0).sum()) for x in columns)
+
+
+def _wild(model: RigModel, values: Int32[np.ndarray, "frames lanes"]) -> list[int]:
+    """Columns whose lanes leave more than a symbol can say."""
+    if not values.size:
+        return []
+    left = np.abs(lanes.residuals(model.lanes, values)[0].astype(np.int64)).max(0)
+    coded = [*model.moving, *model.targets]
+    return [coded[n] for n in np.flatnonzero(left >= lanes.LIMIT)]
+
+
+def _begins_with_rest(model: RigModel, integers: Rows) -> bool:
+    return len(integers) > 1 and bool((integers[0] == _rest_row(model, integers[1])).mean() > 0.5) and not (
+        integers[0] == integers[1]
+    ).all()
+
+
+def _rest_row(model: RigModel, second: Int32[np.ndarray, " columns"]) -> Int32[np.ndarray, " columns"]:
+    """The rest pose, where the figure stands in the row behind it."""
+    angles = np.array([model.turns(c) for c in range(len(model.columns))])
+    return np.where(angles, model.rest, second)
+
+
+def _rest_bytes(model: RigModel, integers: Rows) -> bytes:
+    expected = _rest_row(model, integers[1])
+    other = np.flatnonzero(integers[0] != expected)
+    return _list_bytes(other.tolist()) + (integers[0] - expected)[other].astype("<i4").tobytes()
+
+
+def _read_rest(model: RigModel, side: ByteReader) -> dict[int, int]:
+    other = _read_list(side, len(model.columns))
+    return dict(zip(other, np.frombuffer(side.take(4 * len(other)), "<i4").tolist(), strict=True))
+
+
+def _first_row(model: RigModel, other: dict[int, int], body: Rows) -> Rows:
+    if not len(body):
+        raise CorruptStream("a table of one frame cannot begin with a rest pose")
+    row = _rest_row(model, body[0]).astype(np.int64)
+    for c, difference in other.items():
+        row[c] += difference
+    return row.astype(np.int32)[None]
+
+
+def _list_bytes(numbers: Sequence[int]) -> bytes:
+    gaps = np.diff(numbers, prepend=-1) - 1 if len(numbers) else []
+    return varint(len(numbers)) + b"".join(varint(int(g)) for g in gaps)
+
+
+def _read_list(side: ByteReader, limit: int) -> list[int]:
+    """Rising numbers below the limit."""
+    count, numbers, at = side.varint(), [], -1
+    for _ in range(min(count, limit + 1)):
+        at += side.varint() + 1
+        numbers.append(at)
+    if count > limit or at >= limit:
+        raise CorruptStream(f"a payload lists number {at} where all are below {limit}")
+    return numbers
+
+
+def _stray_bytes(column: Int32[np.ndarray, " frames"]) -> bytes:
+    """Second differences modulo 2^32, by byte planes."""
+    change = np.diff(column, 2, prepend=np.zeros(2, np.int32)).astype("<i4")
+    data = squeeze(np.ascontiguousarray(change.view(np.uint8).reshape(-1, 4).T).tobytes())
+    return varint(len(data)) + data
+
+
+def _read_stray(side: ByteReader, frames: int) -> Int32[np.ndarray, " frames"]:
+    planes = np.frombuffer(expand(side.take(side.varint()), 4 * frames), np.uint8).reshape(4, -1)
+    change = np.ascontiguousarray(planes.T).view("<i4").ravel()
+    return np.cumsum(np.cumsum(change, dtype=np.int32), dtype=np.int32)

@@ -1,0 +1,1 @@
+"""Ways to cut motion into pieces, and to find what recurs in it."""
