@@ -18,7 +18,9 @@ TEMPLATES = [b"HIERARCHY first " * 9, b"HIERARCHY second " * 9]
 
 
 def archive() -> bytes:
-    records = [Record(name, BLOB, n % 4, len(data), checksum(name, data), b"", data) for n, (name, data) in enumerate(FILES.items())]
+    records = [
+        Record(name, BLOB, n % 4, len(data), checksum(name, data), b"", data) for n, (name, data) in enumerate(FILES.items())
+    ]
     records[3] = Record("c/n.bvh", NUMBERS + 1, 0, 999, 12345, b"layout " * 40, b"payload")
     records.append(Record("empty", FOLDER, 0, 0, checksum("empty", b"")))
     return write_archive(SHARED, TEMPLATES, records)
@@ -44,7 +46,8 @@ def contents(data: bytes) -> dict[str, tuple[bytes, bytes] | None]:
 
 
 def test_everything_comes_back_in_order():
-    wanted = {name: (b"", data) for name, data in FILES.items()} | {"c/n.bvh": (b"layout " * 40, b"payload"), "empty": (b"", b"")}
+    wanted = {name: (b"", data) for name, data in FILES.items()}
+    wanted |= {"c/n.bvh": (b"layout " * 40, b"payload"), "empty": (b"", b"")}
     assert contents(WHOLE) == wanted and list(contents(WHOLE)) == sorted(wanted)
     found = read_archive(WHOLE)
     assert found.notices == () and [e.mode for e in found.entries] == [0, 1, 2, 0, 0]
@@ -165,7 +168,7 @@ def test_a_dictionary_helps_and_sizes_are_bounded():
         expand(b"1234", 1 << 34)
 
 
-@pytest.mark.parametrize("name", ["", "/etc/passwd", "..", "../a", "a/../b", "a//b", "a/", "./a", "a\\b", "C:a", "c:/a", "a\0b"])
+@pytest.mark.parametrize("name", ["", "/etc/passwd", "..", "../a", "a/../b", "a//b", "a/", "./a", "a\\b", "C:a", "c:/", "a\0"])
 def test_names_that_lead_elsewhere(name: str):
     with pytest.raises(ValueError, match="no path inside a folder"):
         check_name(name)

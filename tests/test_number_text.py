@@ -115,6 +115,15 @@ def test_odd_tokens_cost_themselves_and_leave_sensible_integers():
     assert table[9, 2] == table[8, 2] and table[20, 4] == 0
 
 
+@pytest.mark.parametrize("writer", sorted(WRITERS))
+def test_numbers_beyond_all_bounds(writer: str):
+    rows = [[WRITERS[writer](v) for v in row] for row in motion()]
+    odd = ["1e308", "-1e-299", "1e-305", "1e999", "-0", "5e-324", "2147483648", "1e+07", "0.00000000000000000001"]
+    for row, text in enumerate(odd):
+        rows[row][row] = text
+    parsed(bvh(rows))
+
+
 def test_odd_lines_cost_themselves():
     data = bvh([[f"{v:.4f}" for v in row] for row in motion()])
     lines = data.split(b"\n")
@@ -153,6 +162,8 @@ def test_amc(end: str):
     assert parsed(amc(values, end, first=77)).layout[1:4] == bytes([1, 0, 77]), "frames that count up cost nothing"
     jump = parsed(data.replace(f"{end}31{end}".encode(), f"{end}44{end}".encode()))
     assert len(jump.layout) < len(found.layout) + 8
+    parsed(data.replace(f"{end}31{end}".encode(), f"{end}9999999999{end}".encode()))
+    parsed(data.replace(f"{end}31{end}".encode(), f"{end}99999999999{end}".encode()))
     odd = parsed(data.replace(b"lowerback", b"lowerback ", 3).replace(b"lradius", b"rradius", 2)[:-40])
     assert len(odd.layout) < len(found.layout) + 1000
 

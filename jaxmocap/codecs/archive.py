@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from itertools import accumulate
 
 from ..errors import CorruptStream, TruncatedStream, UnsupportedVersion
-from .archive_index import BLOB, NUMBERS, Entry, encoded, pack_entries, unpack_entries
+from .archive_index import BLOB, NUMBERS, Entry, encoded, pack_entries, shown, unpack_entries
 from .bitstream import ByteReader, varint
 from .crc import mended
 from .squeeze import expand, squeeze
@@ -61,9 +61,9 @@ class Archive:
         entry, start = self.entries[index], self.starts[index]
         record = self.data[start : start + entry.stored]
         if len(record) < entry.stored:
-            raise TruncatedStream(f"{entry.name}: the archive ends at byte {len(self.data)}, before this file does")
+            raise TruncatedStream(f"{shown(entry.name)}: the archive ends at byte {len(self.data)}, before this file does")
         if zlib.crc32(record) != entry.record_checksum:
-            raise CorruptStream(f"{entry.name}: its bytes (from {start} on) do not match their checksum")
+            raise CorruptStream(f"{shown(entry.name)}: its bytes (from {start} on) do not match their checksum")
         layout = _expanded(record[: entry.layout_stored], entry.layout_size)
         return layout, record[entry.layout_stored :]
 

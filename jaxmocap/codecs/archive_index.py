@@ -57,6 +57,11 @@ def encoded(name: str) -> bytes:
     return name.encode("utf-8", "surrogateescape")
 
 
+def shown(name: str) -> str:
+    """The name for a message, which may have to go where bytes that are no UTF-8 cannot."""
+    return encoded(name).decode("utf-8", "backslashreplace")
+
+
 def check_name(name: str) -> None:
     """Raises ValueError for what is no relative path with slashes, or means something else on another system."""
     parts = name.split("/")

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from ..errors import CorruptStream, FormatError, JaxmocapError, UnsupportedVersion
 from .archive import Archive, blob, read_archive
-from .archive_index import FOLDER, NUMBERS, Entry, checksum
+from .archive_index import FOLDER, NUMBERS, Entry, checksum, shown
 from .artifact import Artifact, find_artifact, load_artifact, parse_artifact, shipped_models
 from .container import DIGEST_BYTES
 from .lossless import AbstractNumberCodec
@@ -116,21 +116,29 @@ class Database:
             return File(entry, error)
 
     def _texts(self, batch: list[int]) -> Iterator[File]:
-        """The files of some texts; where one of them is damaged, each by itself."""
-        if not batch:
+        """The files of some texts; where one leans on what is damaged, each is decoded by itself."""
+        sound = []
+        for index in batch:
+            try:
+                self.archive.record(index)
+                sound.append(index)
+            except CorruptStream as error:
+                yield File(self.archive.entries[index], error)
+        if not sound:
             return
         assert self.codec is not None
-        which = [self._ordinal[index] for index in batch]
         try:
+            which = [self._ordinal[index] for index in sound]
             tables = self.codec.decode(self.archive.shared.tables, self._payload, which)
         except CorruptStream as error:
-            if len(batch) > 1:
-                for index in batch:
+            if len(sound) > 1:
+                for index in sound:
                     yield from self._texts([index])
             else:
-                yield File(self.archive.entries[batch[0]], error)
+                name = shown(self.archive.entries[sound[0]].name)
+                yield File(self.archive.entries[sound[0]], CorruptStream(f"{name}: it leans on what is damaged: {error}"))
             return
-        for index, table in zip(batch, tables, strict=True):
+        for index, table in zip(sound, tables, strict=True):
             entry = self.archive.entries[index]
             try:
                 text = NumberText(self._templates[entry.template], self.archive.record(index)[0], table)
@@ -167,5 +175,5 @@ def dictionary_of(codec: AbstractNumberCodec | None) -> bytes:
 
 def _checked(entry: Entry, data: bytes, frames: int = 0) -> File:
     if len(data) != entry.size or checksum(entry.name, data) != entry.checksum:
-        return File(entry, CorruptStream(f"{entry.name}: what it decodes to does not match its checksum"))
+        return File(entry, CorruptStream(f"{shown(entry.name)}: what it decodes to does not match its checksum"))
     return File(entry, data, frames)

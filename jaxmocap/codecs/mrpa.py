@@ -12,9 +12,8 @@ from dataclasses import dataclass
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import Float32, Int, Int8, UInt8
+from jaxtyping import Float32, Int, Int8
 
-from ..errors import CorruptStream
 from ..segmentation.forest import Forest, build_forest
 from ..segmentation.neighbours import radius_neighbours
 from ..segmentation.paths import Paths, grow_paths
@@ -25,7 +24,7 @@ from .float_coding import Floats, Tables, no_floats
 from .float_streams import CHUNK, ORDER, TableDecoder, expected_step, last_steps, own_steps
 from .forest_index import Links, pack_links, read_links
 from .lossless import AbstractNumberCodec, NumberTable
-from .mrpa_steps import WEIGHTS, choose_links, first_frames, fit_coefficients, inner_frames, steps
+from .mrpa_steps import choose_links, first_frames, fit_coefficients, inner_frames, steps
 from .number_groups import Group
 
 _MINOR = ("toe", "foot", "finger", "hand", "thumb", "wrist", "clavicle")
@@ -63,8 +62,8 @@ class PathSegmentation(AbstractSegmentation):
 class Patterns(eqx.Module):
     """Search for recurring patterns; thresholds in frames, `radius` in degrees of the mean over weighted joints."""
 
-    radius: float = 5.0
-    most: int = 32
+    radius: float = 12.0
+    most: int = 128
     valid_path: int = 55
     iou_threshold: float = 0.6
     segmentation: AbstractSegmentation = SomSegmentation()
@@ -146,11 +145,10 @@ class Mrpa(AbstractNumberCodec):
         past = np.concatenate([last_steps(m) for m in np.split(moved, firsts[1:])], 1)
         coefficients = fit_coefficients(moved, past)
         own = expected_step(past, coefficients.astype(np.int32)[:, None])
-        links, weight = choose_links(moved, own, forest)
-        source = links.source(len(values))
+        links = choose_links(moved, own, forest)
         coded = []
         for table, first in zip(tables, firsts, strict=True):
-            leaning = steps(values, source[first : first + len(table.value)], inner, weight, first)
+            leaning = steps(values, links, inner, first, first + len(table.value))
             coded.append(float_streams.split(table, float_streams.predictions(table, leaning, coefficients)))
         packed = float_tables.learn(coded)
         frequencies = float_tables.read(packed)
@@ -158,7 +156,7 @@ class Mrpa(AbstractNumberCodec):
             float_streams.encode(table, symbols, frequencies) if len(table.value) else b""
             for table, symbols in zip(tables, coded, strict=True)
         ]
-        return pack_links(links) + weight.tobytes() + coefficients.tobytes() + packed, payloads
+        return pack_links(links) + coefficients.tobytes() + packed, payloads
 
 
 def _decode_group(
@@ -168,12 +166,9 @@ def _decode_group(
     if not count or not lanes:
         return {m: no_floats(group.frames[m], lanes) for m in members}
     reader = ByteReader(section)
-    links = read_links(reader, count)
-    weight = np.frombuffer(reader.take(lanes), np.uint8)
-    if weight.max() >= WEIGHTS:
-        raise CorruptStream(f"a weight of {weight.max()} eighths is above 1")
+    links = read_links(reader, count, lanes)
     coefficients = np.frombuffer(reader.take(ORDER * lanes), np.int8).reshape(ORDER, lanes)
-    sequence = _Sequence(group, links, weight, coefficients, float_tables.read(reader.take(reader.left)))
+    sequence = _Sequence(group, links, coefficients, float_tables.read(reader.take(reader.left)))
     return {m: sequence.table(m, payload) for m in sorted(_ancestors(links, group.frames, members))}
 
 
@@ -197,28 +192,26 @@ class _Sequence:
         self,
         group: Group,
         links: Links,
-        weight: UInt8[np.ndarray, " lanes"],
         coefficients: Int8[np.ndarray, "order lanes"],
         tables: Tables,
     ):
         self._firsts, self._frames, self._inner = first_frames(group.frames), group.frames, inner_frames(group.frames)
-        self._weight, self._coefficients, self._tables = weight, coefficients, tables
+        self._links, self._coefficients, self._tables = links, coefficients, tables
         self._source = links.source(len(self._inner))
-        self._known = np.zeros((len(self._inner), len(weight)), np.int32)
+        self._known = np.zeros((len(self._inner), len(group.columns)), np.int32)
 
     def table(self, m: int, payload: Callable[[int], bytes]) -> Floats:
         """Decodes table m, all that it leans on being decoded."""
         first, n = self._firsts[m], self._frames[m]
-        found = no_floats(n, len(self._weight))
+        found = no_floats(n, self._known.shape[1])
         if not n:
             return found
         decoder = TableDecoder(payload(m), self._coefficients, self._tables)
         at = 1
         while at < n:
             source = self._source[first + at : first + min(at + CHUNK, n)]
-            source = source[: _run(source, first + at)]
-            piece = slice(at, at + len(source))
-            leaning = steps(self._known, source, self._inner, self._weight, first + at)
+            piece = slice(at, at + _run(source, first + at))
+            leaning = steps(self._known, self._links, self._inner, first + piece.start, first + piece.stop)
             found.value[piece], found.negative[piece] = decoder.frames(leaning)
             self._known[first + at : first + piece.stop] = found.value[piece]
             at = piece.stop

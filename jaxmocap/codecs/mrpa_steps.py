@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int, Int8, Int32, UInt8
+from jaxtyping import Bool, Float32, Int8, Int32
 
 from ..segmentation.forest import Forest
 from . import float_streams
 from .float_streams import ORDER, Steps, expected_step
-from .forest_index import Links, without_loners
+from .forest_index import SHARES, Links, without_loners
 
-WEIGHTS = 9  # eighths from 0 to 1
-_LINK_BITS = 40  # about what the index spends on a link
-_ROUNDS = 3
+_LINK_BITS = 120  # about what the index spends on a link besides ...
+_SHARE_BITS = 1  # ... every channel that takes a share
+_TRIAL_SHARE = 2
 _FIT_ROUNDS = 6
 
 
@@ -29,17 +29,15 @@ def inner_frames(frames: Sequence[int]) -> Bool[np.ndarray, " frames"]:
 
 
 def steps(
-    known: Int32[np.ndarray, "frames lanes"],
-    source: Int[np.ndarray, " n"],
-    inner: Bool[np.ndarray, " frames"],
-    weight: UInt8[np.ndarray, " lanes"],
-    first: int,
+    known: Int32[np.ndarray, "frames lanes"], links: Links, inner: Bool[np.ndarray, " frames"], first: int, stop: int
 ) -> Steps:
-    """How n frames from `first` on are predicted, whose parents' frames are `source` (-1 for none), all of them known."""
+    """How the frames first..stop-1 are predicted, all that they lean on being known."""
+    source = links.source(len(known))[first:stop]
     at = np.maximum(source, 1)
     linked = ((source > 0) & inner[at])[:, None]
     other = np.where(linked, known[at] - known[at - 1], 0)
-    return Steps(other, np.where(linked, weight, 0).astype(np.uint8), inner[first : first + len(source)])
+    weight = np.where(linked, links.weight(np.arange(first, stop)), 0)
+    return Steps(other, weight.astype(np.uint8), inner[first:stop])
 
 
 def fit_coefficients(
@@ -64,39 +62,42 @@ def fit_coefficients(
 
 def choose_links(
     steps: Int32[np.ndarray, "frames lanes"], own: Int32[np.ndarray, "frames lanes"], forest: Forest
-) -> tuple[Links, UInt8[np.ndarray, " lanes"]]:
-    """Where in its parent's motion a segment finds itself, the share of the parent's steps by channel, in eighths, and
-    which links pay for their place in the index. `own` are the steps that the channels' own past lets expect."""
-    back = np.zeros(len(forest.starts), int)
+) -> Links:
+    """Where in its parent's motion a segment finds itself, which channels take how much of its steps, and which links
+    pay for their place in the index. `own` are the steps that the channels' own past lets expect."""
+    count = len(forest.starts)
+    parent, back = np.full(count, -1), np.zeros(count, int)
+    shares = np.zeros((count, steps.shape[1]), np.uint8)
     for s in np.flatnonzero(forest.parent >= 0):
-        back[s] = _align(steps, forest, s)
-    segment = np.repeat(np.arange(len(back)), forest.ends - forest.starts + 1)
-    weight = np.zeros(steps.shape[1], np.uint8)
-    linked = back > 0
-    for _ in range(_ROUNDS):
-        at = np.flatnonzero(linked[segment])
-        bits = np.stack([cost(steps[at], _blend(own[at], steps[at - back[segment[at]]], w)) for w in range(WEIGHTS)])
-        weight = bits.sum(1).argmin(0)
-        saved = bits[0] - np.take_along_axis(bits, weight[None, None], 0)[0]
-        linked &= np.bincount(segment[at], saved.sum(1), len(linked)) > _LINK_BITS
-    links = Links(forest.starts, np.where(linked, forest.parent, -1), np.where(linked, back, 0))
-    return without_loners(links), weight.astype(np.uint8) * linked.any()
+        found, saved = _best_link(steps, own, forest, s)
+        if saved.max(0).sum() > _LINK_BITS:
+            parent[s], back[s], shares[s] = forest.parent[s], found, saved.argmax(0)
+    return without_loners(Links(forest.starts, parent, back, shares))
 
 
-def _blend(own: Int32[np.ndarray, "n lanes"], other: Int32[np.ndarray, "n lanes"], weight: int) -> Int32[np.ndarray, "n lanes"]:
-    return (WEIGHTS - 1 - weight) * own + weight * other + WEIGHTS // 2 >> 3
+def _best_link(
+    steps: Int32[np.ndarray, "frames lanes"], own: Int32[np.ndarray, "frames lanes"], forest: Forest, s: int
+) -> tuple[int, Float32[np.ndarray, "shares lanes"]]:
+    """How many frames back the parent's motion helps a segment most, and what every share of it saves, in bits."""
+    start, length, p = int(forest.starts[s]), int(forest.ends[s] - forest.starts[s]) + 1, forest.parent[s]
+    actual, expected = steps[start : start + length], own[start : start + length]
+    alone = cost(actual, expected).sum(0)
+    places = range(max(2, forest.starts[p] - length // 2), min(start - 1, forest.ends[p] - length // 2) + 1)
+
+    def saved(place: int, share: int) -> Float32[np.ndarray, " lanes"]:
+        return alone - cost(actual, _blend(expected, steps[place : place + length], share)).sum(0) - _SHARE_BITS * (share > 0)
+
+    gains = [np.maximum(saved(place, _TRIAL_SHARE), 0).sum() for place in places]
+    if not gains:
+        return 0, np.zeros((1, len(alone)), np.float32)
+    place = places[int(np.argmax(gains))]
+    return start - place, np.stack([saved(place, int(share)) for share in SHARES])
+
+
+def _blend(own: Int32[np.ndarray, "n lanes"], other: Int32[np.ndarray, "n lanes"], share: int) -> Int32[np.ndarray, "n lanes"]:
+    return (8 - share) * own + share * other + 4 >> 3
 
 
 def cost(actual: Int32[np.ndarray, "*n"], expected: Int32[np.ndarray, "*n"]) -> Float32[np.ndarray, "*n"]:
     """About the bits of corrections."""
     return np.log2(8 + abs(actual - expected), dtype=np.float32)
-
-
-def _align(steps: Int32[np.ndarray, "frames lanes"], forest: Forest, s: int) -> int:
-    """How many frames back the parent's motion is most like that of a segment; 0 where there is no room."""
-    start, length, p = int(forest.starts[s]), int(forest.ends[s] - forest.starts[s]) + 1, forest.parent[s]
-    first = max(2, int(forest.starts[p]) - length // 2)
-    last = min(start - 1, int(forest.ends[p]) - length // 2)
-    mine = steps[start : start + length]
-    costs = [cost(mine, steps[m : m + length]).sum() for m in range(first, last + 1)]
-    return start - first - int(np.argmin(costs)) if costs else 0

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int, Int32, Int64, UInt, UInt64
 FIXED, TRIMMED, GENERAL = 0, 1, 2
 MAX_DECIMALS, MAX_SIGNIFICANT = 12, 12
 LARGEST = (1 << 31) - 1  # of a table: -2^31 has no magnitude there
-LOWEST_POWER = -300  # doubles thin out below
+LOWEST_POWER = -280  # doubles thin out below
 POWERS = np.array([10**n for n in range(20)], np.uint64)
 
 
@@ -79,7 +79,8 @@ def split(rule: NumberRule, decimals: int, values: Float[np.ndarray, "*n"]) -> t
     if rule.kind == GENERAL:
         whole, extra, tiny, fits = _split_general(rule, decimals, size)
     else:
-        scaled = np.rint(size * 10.0**rule.digits)
+        with np.errstate(over="ignore"):
+            scaled = np.rint(size * 10.0**rule.digits)
         spare = rule.digits - decimals
         fits = scaled < min(2.0**50, (LARGEST + 1.0) * 10.0**spare)
         digits = np.where(fits, scaled, 0).astype(np.uint64)

@@ -15,6 +15,8 @@ _FRAMES = re.compile(rb"Frames\s*:[ \t]*(\d{1,9})(?!\S)", re.IGNORECASE)
 _FRAME_TIME = re.compile(rb"Frame\s*Time\s*:[^\r\n]*(?:\r\n|\r|\n)", re.IGNORECASE)
 _JOINT = re.compile(rb"(?:ROOT|JOINT)[ \t]+([^\r\n{]*)|CHANNELS\s+\d+((?:\s+[XYZ](?:position|rotation))*)", re.IGNORECASE)
 
+_MOST_DIGITS = 10  # of the number of an AMC frame
+
 
 @dataclass(frozen=True, eq=False)
 class Rows:
@@ -68,7 +70,7 @@ def _amc_rows(data: bytes) -> Rows | None:
     lines = _Lines(data, 0)
     single = np.flatnonzero(lines.counts == 1)
     spans = zip(lines.token_starts[lines.first[single]].tolist(), lines.token_stops[lines.first[single]].tolist(), strict=True)
-    heads = single[[data[a:b].isdigit() for a, b in spans]] if len(single) else single
+    heads = single[[b - a <= _MOST_DIGITS and data[a:b].isdigit() for a, b in spans]] if len(single) else single
     if not len(heads):
         return None
     first = lines.first[heads]

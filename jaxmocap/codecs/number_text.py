@@ -109,8 +109,9 @@ class _Parser:
         return best
 
     def _layout(self, template: Template, table: NumberTable, numbers: Numbers) -> Layout | None:
-        """None where too much is odd."""
+        """None where too much is odd: a quarter of the text."""
         patches = dict(self._asides())
+        spare = len(self.data) // 4 - sum(map(len, patches.values()))
         rule = template.rule
         none = (np.broadcast_to(np.uint64(0), table.integers.shape), np.broadcast_to(np.int64(0), table.integers.shape))
         extra, tiny = (numbers.extra, numbers.tiny) if rule.kind == GENERAL or rule.digits != table.decimals else none
@@ -127,7 +128,8 @@ class _Parser:
                 found = other
                 trimmed.append(row)
             patches |= found
-            if len(patches) > table.integers.size // 8 + 64:
+            spare -= sum(map(len, found.values()))
+            if spare < 0:
                 return None
         return Layout(layout.cut, _spans(sorted(trimmed)), layout.counts, tuple(sorted(patches.items())), extra, tiny)
 
@@ -143,7 +145,7 @@ class _Parser:
         if self.rows.counter_stops is None:
             return ()
         spans = zip(self.rows.starts.tolist(), self.rows.counter_stops.tolist(), strict=True)
-        found = [int(self.data[a:b][:12]) for a, b in spans]
+        found = [int(self.data[a:b]) for a, b in spans]
         return tuple((row, n) for row, (n, above) in enumerate(zip(found, [0, *found], strict=False)) if n != above + 1)
 
     def _row(self, row: int) -> bytes:

@@ -30,11 +30,19 @@ def _written(database: Database, folder: Path, entries: Sequence[Entry]) -> Iter
         path = folder / file.entry.name
         if file.entry.kind == FOLDER:
             path.mkdir(parents=True, exist_ok=True)
-        elif not isinstance(file.data, JaxmocapError) and not path.exists():
-            path.parent.mkdir(parents=True, exist_ok=True)
-            write_bytes(path, file.data)
-            _set_mode(path, file.entry.mode)
+        elif not isinstance(file.data, JaxmocapError):
+            _write(path, file.data, file.entry.mode)
         yield file
+
+
+def _write(path: Path, data: bytes, mode: int) -> None:
+    if path.exists():  # with this content, unless the file system takes two names for one
+        if path.read_bytes() != data:
+            raise FormatError(f"{path}: the file system takes this name and another one of the database for the same")
+        return
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_bytes(path, data)
+    _set_mode(path, mode)
 
 
 def chosen(database: Database, wanted: Sequence[str]) -> list[Entry]:

@@ -33,9 +33,11 @@ class Ls(Command):
         }
 
     def text(self, report: Report) -> str:
+        from ..codecs.archive_index import shown
+
         entries = report["entries"]
         assert isinstance(entries, list)
-        lines = [_line(e["bytes"], e["stored"], e["kind"], e["name"]) for e in entries]
+        lines = [_line(e["bytes"], e["stored"], e["kind"], shown(e["name"])) for e in entries]
         total = _line(report["text_bytes"], report["stream_bytes"], "in all", f"{report['files']} files, with index and tables")
         return "\n".join([f"{'bytes':>13} {'stored':>11} {'ratio':>7}  kind     name", *lines, total])
 
@@ -43,5 +45,4 @@ class Ls(Command):
 def _line(size: object, stored: object, kind: str, name: str) -> str:
     assert isinstance(size, int) and isinstance(stored, int)
     ratio = f"{size / stored:.2f}" if stored else "-"
-    name = name.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
     return f"{size:>13,} {stored:>11,} {ratio:>7}  {kind:<7}  {name}"

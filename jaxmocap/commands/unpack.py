@@ -28,6 +28,7 @@ class Unpack(Command):
     """The model that the database needs, where it is neither shipped nor embedded."""
 
     def run(self) -> Report:
+        from ..codecs.archive_index import FOLDER, shown
         from ..codecs.unpacking import chosen, unpack
 
         began = time.perf_counter()
@@ -38,10 +39,10 @@ class Unpack(Command):
             for file in unpack(database, self.output, entries):
                 done()
                 if isinstance(file.data, JaxmocapError):
-                    damaged.append(file.entry.name)
+                    damaged.append(shown(file.entry.name))
                     print(f"jaxmocap: {self.input}: {file.data}", file=sys.stderr)
                 else:
-                    files, frames, size = files + 1, frames + file.frames, size + len(file.data)
+                    files, frames, size = files + (file.entry.kind != FOLDER), frames + file.frames, size + len(file.data)
         if damaged:
             raise CorruptStream(f"{self.input}: not written, as they are damaged: {', '.join(damaged)}; files written: {files}")
         return {"files": files, "frames": frames, "text_bytes": size, "seconds": time.perf_counter() - began}

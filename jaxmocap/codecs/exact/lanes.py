@@ -31,7 +31,7 @@ _CLIP = 1 << 16  # of what predicts other lanes
 _MAGNITUDE_CLIP = 1 << 18
 LOG_FLOOR = PER_OCTAVE * _FRACTION  # logarithm of magnitude 1
 _BLOCK = 512  # steps compiled together
-_WORTH_COMPILING = 4096  # steps; fewer are done in NumPy before XLA would have compiled
+_WORTH_COMPILING = 100  # steps; fewer are done in NumPy before XLA would have compiled
 LIMIT = 1 << 27  # residuals are smaller
 
 # Bins of magnitudes in units of 2^shift: 8 single ones, 4 an octave up to 64, 2 an octave up to 4096, and an escape.

@@ -9,7 +9,19 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float, Int32
 
-from .laws import AbstractLaw, Aimed, Angles, Constrained, Joint, residuals, wrapped
+from .laws import (
+    COEFFICIENT_BITS,
+    TERM_BITS,
+    AbstractLaw,
+    Aimed,
+    Angles,
+    Constrained,
+    Joint,
+    Polynomial,
+    monomials,
+    residuals,
+    wrapped,
+)
 from .trigonometry import sine_cosine
 
 Table = Int32[np.ndarray, "frames columns"]
@@ -18,6 +30,9 @@ _NULL = 4e-6  # of a law's violation, so much the rounding of angles explains
 _ROUNDING = 5e-7
 _REWEIGHTINGS = 10
 _PARTS = 12
+_DEGREE = 4
+_ANCHOR = 1e-4  # how much a polynomial's values count beside its changes
+_WORTHWHILE = 6.0  # bits a frame
 _MOST, _SOME = 0.9, 0.2  # of the frames keep a law
 _POLISHINGS = 4
 _DIFFERENCE = 1e-6
@@ -123,6 +138,53 @@ def _aimed_laws(table: Table, matrices: dict[Joint, np.ndarray], best: dict[Join
         if _bits(residuals(law, table, DECIMALS)) < _bits(free):
             aimed[joint] = law
     return list(aimed.values())
+
+
+def fit_polynomials(bodies: Sequence[Table], columns: Sequence[str], taken: Sequence[AbstractLaw]) -> list[AbstractLaw]:
+    """Chains of three joints of which one nearly follows from the two others, as spines solved from few markers do."""
+    targets = {t for law in taken for t in law.targets}
+    every = joints(columns)
+    pairs = [_neighbours(body) for body in bodies if len(body) > 2]
+    now, after = (np.concatenate([p[n] for p in pairs]).astype(np.float64) for n in (0, 1))
+    laws: list[AbstractLaw] = []
+    for chain in zip(every, every[1:], every[2:], strict=False):
+        free = [j for j in chain if not targets & set(j.columns) and (now[:, j.columns] != now[0, j.columns]).any(0).all()]
+        if len(free) < 3:
+            continue
+        found = [_polynomial(now, after, j, [o for o in chain if o is not j]) for j in chain]
+        gain, law = max(found, key=lambda f: f[0])
+        if gain > _WORTHWHILE:
+            laws.append(law)
+            targets |= {c for j in chain for c in j.columns}
+    return laws
+
+
+def _neighbours(body: Table) -> tuple[Table, Table]:
+    at = np.linspace(0, len(body) - 2, min(_SAMPLES // 15, len(body) - 1)).astype(int)
+    return body[at], body[at + 1]
+
+
+def _polynomial(now: np.ndarray, after: np.ndarray, joint: Joint, others: list[Joint]) -> tuple[float, Polynomial]:
+    """The law that leaves least from one frame to the next, and the bits a frame that it saves."""
+    inputs = tuple(c for o in others for c in o.columns)
+    scales = tuple(int(s) for s in np.maximum(np.percentile(np.abs(now[:, inputs]), 99, axis=0), 1))
+    one = float(1 << TERM_BITS)
+    terms = monomials(now[:, inputs].T, scales, _DEGREE) / one
+    steps = monomials(after[:, inputs].T, scales, _DEGREE) / one - terms
+    solved = []
+    for c in joint.columns:
+        step = wrapped(after[:, c] - now[:, c], DECIMALS)
+        weights = np.ones(len(now))
+        for _ in range(4):
+            gram = (steps * weights[:, None]).T @ steps + _ANCHOR * terms.T @ terms
+            gram += 1e-10 * np.trace(gram) * np.eye(len(gram))
+            found = np.linalg.solve(gram, (steps * weights[:, None]).T @ step + _ANCHOR * terms.T @ now[:, c])
+            weights = 1 / np.maximum(np.abs(step - steps @ found), 1.0)
+        solved.append(np.rint(found * (1 << COEFFICIENT_BITS)))
+    law = Polynomial(joint.columns, inputs, scales, _DEGREE, np.stack(solved, 1))
+    left = [np.stack(residuals(law, x.astype(np.int32), DECIMALS)) for x in (now, after)]
+    change = wrapped((after - now)[:, joint.columns], DECIMALS).T
+    return _bits(change) - _bits(wrapped(left[1] - left[0], DECIMALS)), law
 
 
 def _null(rows: Float[np.ndarray, "frames equations n"]) -> tuple[np.ndarray, float]:

@@ -16,6 +16,8 @@ from jaxtyping import Float, Int32, Int64
 
 from .trigonometry import arc_tangent, sine_cosine
 
+TERM_BITS, COEFFICIENT_BITS = 20, 4
+_REACH = 1.5
 Angles = Float[np.ndarray, " frames"]
 Integers = Int64[np.ndarray, " frames"]
 Rows = list[Angles]  # a vector a frame, by component: (x, y, z)
@@ -34,6 +36,7 @@ class AbstractLaw(abc.ABC):
 
     targets: tuple[int, ...]
     inputs: tuple[int, ...]
+    smooth: bool = False  # what it leaves moves on like a column, instead of being mere rounding
 
     @property
     @abc.abstractmethod
@@ -148,6 +151,57 @@ class Aimed(AbstractLaw):
         return [angle for n, angle in enumerate(euler(matrix, self.joint.axes)) if n != self.other]
 
 
+@dataclass(frozen=True, eq=False)
+class Polynomial(AbstractLaw):
+    """Targets near a polynomial of other angles, for what has no closed form.
+
+    All sums are of whole numbers that doubles hold exactly, so that their order does not matter. `scales`: the angle (1e-4
+    degrees) that becomes 1; `coefficients[term, target]` in 2^-COEFFICIENT_BITS of 1e-4 degrees, for the terms of `exponents`.
+    """
+
+    targets: tuple[int, ...]
+    inputs: tuple[int, ...]
+    scales: tuple[int, ...]
+    degree: int
+    coefficients: Float[np.ndarray, "terms targets"]
+    smooth: bool = True
+
+    @property
+    def numbers(self) -> tuple[float, ...]:
+        return tuple(self.coefficients.ravel().tolist())
+
+    def with_numbers(self, numbers: Sequence[float]) -> Polynomial:
+        return replace(self, coefficients=np.array(numbers).reshape(-1, len(self.targets)))
+
+    def spec(self) -> dict[str, object]:
+        return {"targets": self.targets, "inputs": self.inputs, "scales": self.scales, "degree": self.degree}
+
+    def predict(self, angles: Float[np.ndarray, "columns frames"]) -> list[Angles]:
+        terms = monomials(angles[list(self.inputs)], self.scales, self.degree)
+        return list((terms @ self.coefficients).T / (1 << TERM_BITS + COEFFICIENT_BITS))
+
+
+def exponents(variables: int, degree: int) -> list[tuple[int, ...]]:
+    """Of all monomials up to the degree, by degree."""
+    every = itertools.product(range(degree + 1), repeat=variables)
+    return sorted((e for e in every if sum(e) <= degree), key=lambda e: (sum(e), e))
+
+
+def monomials(angles: Float[np.ndarray, "inputs frames"], scales: Sequence[int], degree: int) -> Float[np.ndarray, "frames terms"]:
+    """Whole numbers of 2^-TERM_BITS; an angle beyond _REACH scales counts as that."""
+    one = float(1 << TERM_BITS)
+    units = np.rint(np.clip(angles / np.array(scales, np.float64)[:, None], -_REACH, _REACH) * one)
+    found = {(0,) * len(scales): np.full(angles.shape[1], one)}
+    out = np.empty((angles.shape[1], len(exponents(len(scales), degree))))
+    for n, e in enumerate(exponents(len(scales), degree)):
+        if any(e):
+            i = next(k for k, power in enumerate(e) if power)
+            lower = (*e[:i], e[i] - 1, *e[i + 1 :])
+            found[e] = np.rint(found[lower] * units[i] / one)
+        out[:, n] = found[e]
+    return out
+
+
 def residuals(law: AbstractLaw, table: Int32[np.ndarray, "frames columns"], decimals: int) -> list[Integers]:
     """What the law leaves of its targets, in [-180, 180) degrees, as integers of 10^-decimals."""
     return [wrapped(table[:, t] - p, decimals) for t, p in zip(law.targets, _rounded(law, table, decimals), strict=True)]
@@ -180,6 +234,9 @@ def law_spec(law: AbstractLaw) -> dict[str, object]:
 
 def law_from_spec(spec: dict, numbers: Sequence[float]) -> AbstractLaw:
     """The law of a spec and its numbers. Raises KeyError, TypeError or ValueError where they are none."""
+    if spec["law"] == "polynomial":
+        shape = tuple(spec["targets"]), tuple(spec["inputs"]), tuple(spec["scales"]), spec["degree"]
+        return Polynomial(*shape, np.array(numbers).reshape(-1, len(spec["targets"])))
     zero = (0.0, 0.0, 0.0)
     joint = _joint(spec["joint"])
     if spec["law"] == "constrained":

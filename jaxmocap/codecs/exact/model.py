@@ -19,8 +19,8 @@ CODEC = "exact"
 @dataclass(frozen=True, eq=False)
 class RigModel:
     """`columns` and `decimals` say which tables it is for. `rest` is the row of the rest pose, which files may begin with;
-    `constant` marks columns that always have the value of `mean`; `moving` are the lanes in causal order, and then come the
-    targets of the `laws`, whose inputs come before them. `signs`: the usual modes of the zeros' signs. `header` is text that
+    columns that have no lane always have the value of `mean`; `moving` are the lanes that are extrapolated, and then come the
+    targets of the `laws` that leave mere rounding. The laws stand in an order in which all their inputs are known. `signs`: the usual modes of the zeros' signs. `header` is text that
     files of the rig share.
     """
 
@@ -36,7 +36,8 @@ class RigModel:
 
     @property
     def targets(self) -> tuple[int, ...]:
-        return tuple(t for law in self.laws for t in law.targets)
+        """Of the laws that leave mere rounding: a lane each."""
+        return tuple(t for law in self.laws if not law.smooth for t in law.targets)
 
     @property
     def constant(self) -> tuple[int, ...]:

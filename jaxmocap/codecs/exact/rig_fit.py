@@ -10,7 +10,7 @@ from jaxtyping import Int32
 from ..lossless import NumberTable
 from . import signs
 from .fit import fit_lanes, untrained
-from .law_fit import DECIMALS, causal, fit_geometry
+from .law_fit import DECIMALS, causal, fit_geometry, fit_polynomials
 from .laws import AbstractLaw
 from .model import RigModel, is_angle
 from .tables import Exceptions, to_lanes
@@ -25,9 +25,10 @@ def plain_rig(tables: Sequence[NumberTable]) -> RigModel:
 
 def fit_rig(tables: Sequence[NumberTable], header: bytes = b"") -> RigModel:
     """All that can be learned. Laws are looked for where angles are degrees of a known order."""
-    bodies = np.concatenate([t.integers[1:] for t in tables])
-    scaled = bodies.astype(np.int64) * 10**DECIMALS // 10 ** tables[0].decimals
-    laws = tuple(causal(fit_geometry(scaled.astype(np.int32), tables[0].columns)))
+    columns, decimals = tables[0].columns, tables[0].decimals
+    bodies = [(t.integers[1:].astype(np.int64) * 10**DECIMALS // 10**decimals).astype(np.int32) for t in tables]
+    geometry = fit_geometry(np.concatenate(bodies), columns)
+    laws = tuple(causal([*geometry, *fit_polynomials(bodies, columns, geometry)]))
     return _rig(tables, laws, learn=True, header=header)
 
 
@@ -39,7 +40,7 @@ def _rig(tables: Sequence[NumberTable], laws: tuple[AbstractLaw, ...], learn: bo
     steady = np.stack([(b == b[0]).all(0) & (b[0] == bodies[0][0]) for b in bodies]).mean(0) > _ALIKE
     mean = np.median(np.concatenate([b[:: max(len(b) // 200, 1)] for b in bodies]), axis=0)
     mean = np.where(steady, bodies[0][0], np.rint(mean)).astype(np.int32)
-    targets = {t for law in laws for t in law.targets}
+    targets = {t for law in laws if not law.smooth for t in law.targets}
     moving = tuple(c for c in range(len(columns)) if not steady[c] and c not in targets)
     usual = _usual_signs(tables)
     lanes = untrained(len(moving) + len(targets), len(moving))

@@ -70,7 +70,7 @@ def decode_table(model: RigModel, reader: ByteReader) -> NumberTable:
     first = _read_rest(model, side) if rests else None
     odd = Exceptions()
     if head & _ODD:
-        odd = Exceptions(*(_read_list(side, n) for n in (len(model.moving), len(model.laws), len(model.columns))))
+        odd = Exceptions(*(_read_list(side, n) for n in (len(model.columns), len(model.laws), len(model.columns))))
     strays = {c: _read_stray(side, body_frames) for c in odd.strays}
     body = from_lanes(model, values, odd, strays)
     integers = body if first is None else np.concatenate([_first_row(model, first, body), body])
@@ -80,32 +80,38 @@ def decode_table(model: RigModel, reader: ByteReader) -> NumberTable:
 
 def to_lanes(model: RigModel, body: Rows, odd: Exceptions) -> Int32[np.ndarray, "frames lanes"]:
     """The lanes' values: the moving columns about their means, and what the laws leave of their targets."""
-    out = []
-    for n, c in enumerate(model.moving):
-        column = body[:, c] if n in odd.unwrapped else unwrapped(model, body[:, c], c)
-        out.append(np.zeros_like(column) if c in odd.strays else column - model.mean[c])
+    left = {}
     for n, law in enumerate(model.laws):
-        left = [_extrapolated(model, body, c) for c in law.targets] if n in odd.lawless else residuals(law, body, model.decimals)
-        out += [np.zeros_like(x) if c in odd.strays else x for c, x in zip(law.targets, left, strict=True)]
+        if n not in odd.lawless:
+            left.update(zip(law.targets, residuals(law, body, model.decimals), strict=True))
+        elif not law.smooth:
+            left.update((c, _extrapolated(model, body, c)) for c in law.targets)
+    out = []
+    for c in (*model.moving, *model.targets):
+        column = body[:, c] if c in odd.unwrapped else unwrapped(model, body[:, c], c)
+        value = left[c] if c in left else column - model.mean[c]
+        out.append(np.zeros_like(value) if c in odd.strays else value)
     return np.stack(out, 1).astype(np.int32) if out else np.zeros((len(body), 0), np.int32)
 
 
 def from_lanes(model: RigModel, values: Int32[np.ndarray, "frames lanes"], odd: Exceptions, strays: dict[int, np.ndarray]) -> Rows:
     """The inverse of `to_lanes`."""
+    lane = {c: values[:, n].astype(np.int64) for n, c in enumerate((*model.moving, *model.targets))}
     body = np.tile(model.mean, (len(values), 1))
-    for n, c in enumerate(model.moving):
-        column = values[:, n] + model.mean[c]
-        body[:, c] = column if n in odd.unwrapped or not model.turns(c) else wrapped(column, model.decimals)
+    for c in model.moving:
+        column = lane[c] + model.mean[c]
+        body[:, c] = column if c in odd.unwrapped or not model.turns(c) else wrapped(column, model.decimals)
     for c, column in strays.items():
         body[:, c] = column
-    lane = len(model.moving)
     for n, law in enumerate(model.laws):
-        left = values[:, lane : lane + len(law.targets)].T
-        lane += len(law.targets)
-        if n in odd.lawless:
-            columns = [wrapped(np.cumsum(np.cumsum(x, dtype=np.int64)) + model.mean[c], model.decimals) for c, x in zip(law.targets, left, strict=True)]
+        columns = [lane[c] for c in law.targets]
+        if n not in odd.lawless:
+            columns = restored(law, body, columns, model.decimals)
+        elif not law.smooth:
+            sums = [np.cumsum(np.cumsum(x)) + model.mean[c] for c, x in zip(law.targets, columns, strict=True)]
+            columns = [wrapped(x, model.decimals) for x in sums]
         else:
-            columns = restored(law, body, left, model.decimals)
+            continue
         for c, column in zip(law.targets, columns, strict=True):
             if c not in strays:
                 body[:, c] = column
@@ -132,9 +138,9 @@ def _exceptions(model: RigModel, body: Rows) -> Exceptions:
         return odd
     constant = list(model.constant)
     odd.strays = [c for c in constant if (body[:, c] != model.mean[c]).any()]
-    for n, c in enumerate(model.moving):
+    for c in model.moving:
         if model.turns(c) and (wrapped(body[:, c].astype(np.int64), model.decimals) != body[:, c]).any():
-            odd.unwrapped.append(n)
+            odd.unwrapped.append(c)
     for n, law in enumerate(model.laws):
         left = residuals(law, body, model.decimals)
         whole = all((r == body[:, c]).all() for c, r in zip(law.targets, restored(law, body, left, model.decimals), strict=True))
@@ -142,7 +148,7 @@ def _exceptions(model: RigModel, body: Rows) -> Exceptions:
         in_range = all((wrapped(body[:, c].astype(np.int64), model.decimals) == body[:, c]).all() for c in law.targets)
         if not in_range:
             odd.strays += list(law.targets)
-        elif not whole or _cost(free) < _cost(left):
+        elif not whole or _cost(free) < _cost([np.diff(x, 2) for x in left] if law.smooth else left):
             odd.lawless.append(n)
     odd.strays = sorted(odd.strays)
     return odd
