@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from . import lsdt_report
+from . import lossless_report, lsdt_report
 
-BENCHES = {"lsdt": lsdt_report}
+BENCHES = {"lossless": lossless_report, "lsdt": lsdt_report}

@@ -15,12 +15,13 @@ from .archive import Archive, blob, read_archive
 from .archive_index import FOLDER, NUMBERS, Entry, checksum, shown
 from .artifact import Artifact, find_artifact, load_artifact, parse_artifact, shipped_models
 from .container import DIGEST_BYTES
+from .exact import Exact
 from .lossless import AbstractNumberCodec
 from .number_text import NumberText, format_numbers
 
 # Registering a number codec is what has it tested: tests/test_pack.py runs over this table. A codec is made with its model,
 # which is None where no model is given and none is shipped under its id.
-NUMBER_CODECS: dict[str, Callable[[Artifact | None], AbstractNumberCodec]] = {}
+NUMBER_CODECS: dict[str, Callable[[Artifact | None], AbstractNumberCodec]] = {"exact": Exact}
 DEFAULT = "exact"
 _BATCH = 64 << 20  # bytes of text that are decoded at a time
 

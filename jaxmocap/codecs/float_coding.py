@@ -9,7 +9,6 @@ were learned while packing: lanes then need nothing of each other.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from types import ModuleType
 from typing import NamedTuple
 
@@ -18,7 +17,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Int32, UInt8, UInt32
 
 from .entropy import lanes
-from .entropy.lanes import U32, Decoding
+from .entropy.lanes import Decoding
 
 LIMIT = (1 << 23) - 1  # the largest magnitude that is coded
 FIRST_SCALE = 16 << 8
@@ -32,8 +31,8 @@ _NEAR = 13
 CLASS_CONTEXTS = 2 * _NEAR
 MANTISSA_CONTEXTS = 2 * _SCALES
 
-Lanes = Int32[np.ndarray, "*lanes"] | Int32[Array, "*lanes"]
-Signs = Bool[np.ndarray, "*lanes"] | Bool[Array, "*lanes"]
+Lanes = Int32[np.ndarray, "*lanes"]  # of JAX inside a compiled decoder, as everywhere here
+Signs = Bool[np.ndarray, "*lanes"]
 
 
 class Floats(NamedTuple):
@@ -62,12 +61,12 @@ class Symbols(NamedTuple):
 class Tables(eqx.Module):
     """Frequencies in parts of `lanes.TOTAL`, one table a context, and what a decoder looks up."""
 
-    classes: UInt32[Array, "contexts classes"]
-    tokens: UInt32[Array, "contexts tokens"]
-    class_starts: UInt32[Array, "contexts classes"]
-    token_starts: UInt32[Array, "contexts tokens"]
-    class_of: UInt8[Array, "contexts slots"]
-    token_of: UInt8[Array, "contexts slots"]
+    classes: UInt32[np.ndarray, "contexts classes"]
+    tokens: UInt32[np.ndarray, "contexts tokens"]
+    class_starts: UInt32[np.ndarray, "contexts classes"]
+    token_starts: UInt32[np.ndarray, "contexts tokens"]
+    class_of: UInt8[np.ndarray, "contexts slots"]
+    token_of: UInt8[np.ndarray, "contexts slots"]
 
     @staticmethod
     def of(classes: UInt32[np.ndarray, "contexts classes"], tokens: UInt32[np.ndarray, "contexts tokens"]) -> Tables:
@@ -131,7 +130,8 @@ def symbols(prediction: Floats, actual: Floats, scale: Int32[np.ndarray, "*lanes
     low_bits = np.maximum(exponent(np, size) - 2, 0)
     token = np.where(size < 4, size, 2 * low_bits + (size >> low_bits))
     signed = (group == SAME) & (size > 0)
-    raw = (size & (1 << low_bits) - 1) << signed | signed & (difference < 0)
+    low = size - (size >> low_bits << low_bits)
+    raw = np.where(signed, 2 * low + (difference < 0), low)
     context = scale + np.where(group == SAME, 0, _SCALES)
     return Symbols(_class_context(np, abs(prediction.value), scale), group, context, token, raw, low_bits + signed)
 
@@ -140,11 +140,16 @@ class Stream(NamedTuple):
     """Where decoding has come to: the lanes' states and words, and the bit after the last raw one."""
 
     coder: Decoding
-    bit: Int32[np.ndarray, ""] | Int32[Array, ""]
+    bit: np.int32 | Int32[np.ndarray, ""] | Int32[Array, ""]
 
 
 def decode(
-    xp: ModuleType, at: Stream, words: UInt32[Array, " words"], bits: UInt32[Array, " words"], tables: Tables, prediction: Floats,
+    xp: ModuleType,
+    at: Stream,
+    words: UInt32[Array, " words"] | UInt32[np.ndarray, " words"],
+    bits: UInt32[Array, " words"] | UInt32[np.ndarray, " words"],
+    tables: Tables,
+    prediction: Floats,
     scale: Lanes,
 ) -> tuple[Floats, Stream]:
     """The next number of every lane."""

@@ -32,9 +32,9 @@ class Steps(NamedTuple):
     step into the frame is one of the motion, so that later frames may go on with it.
     """
 
-    other: Int32[np.ndarray, "frames lanes"] | Int32[Array, "frames lanes"]
-    weight: UInt8[np.ndarray, "frames lanes"] | UInt8[Array, "frames lanes"]
-    inner: Bool[np.ndarray, " frames"] | Bool[Array, " frames"]
+    other: Int32[np.ndarray, "frames lanes"]
+    weight: UInt8[np.ndarray, "frames lanes"]
+    inner: Bool[np.ndarray, " frames"]
 
 
 class _State(NamedTuple):
@@ -43,7 +43,7 @@ class _State(NamedTuple):
     stream: Stream
     last: Floats
     steps: Int32[Array, "order lanes"] | Int32[np.ndarray, "order lanes"]
-    scale: Int32[Array, " lanes"] | Int32[np.ndarray, " lanes"]
+    scale: Int32[np.ndarray, " lanes"]
 
 
 def inner_frames(frames: int) -> Bool[np.ndarray, " frames"]:
@@ -79,9 +79,9 @@ def predict(last: Floats, own, other, weight) -> Floats:
 
 def predictions(values: Floats, steps: Steps, coefficients: Int8[np.ndarray, "order lanes"]) -> Floats:
     """The predictions of all frames but the first, which an encoder knows at once. `steps` are those of all frames."""
-    known = values.value.copy()
-    known[:1] = 0
-    last = Floats(known[:-1], values.negative[:-1] & (values.value[:-1] == known[:-1]))
+    known, negative = values.value.copy(), values.negative.copy()
+    known[:1], negative[:1] = 0, False  # the first frame is decoded last
+    last = Floats(known[:-1], negative[:-1])
     past = last_steps(own_steps(known, steps.inner))
     own = expected_step(past, coefficients.astype(np.int32)[:, None])
     return predict(last, own[1:], steps.other[1:], steps.weight[1:])
@@ -164,8 +164,9 @@ class TableDecoder:
         self._word = self._bit = 0
         self._tables, self._count, self._coefficients = tables, count, coefficients.astype(np.int32)
         zeros = np.zeros(count, np.int32)
-        stream = Stream(Decoding(states, np.int32(0)), np.int32(0))
-        self._state = _State(stream, Floats(zeros, zeros.astype(bool)), np.zeros((ORDER, count), np.int32), np.full(count, FIRST_SCALE, np.int32))
+        stream = Stream(Decoding(states, np.zeros((), np.int32)), np.zeros((), np.int32))
+        last, steps = Floats(zeros, zeros.astype(bool)), np.zeros((ORDER, count), np.int32)
+        self._state = _State(stream, last, steps, np.full(count, FIRST_SCALE, np.int32))
 
     def frames(self, steps: Steps) -> Floats:
         """The next frames, 1..CHUNK of them, from frame 1 on. Raises TruncatedStream."""
@@ -173,14 +174,14 @@ class TableDecoder:
         padded = Steps(*(np.concatenate([a, np.zeros((CHUNK - n, *a.shape[1:]), a.dtype)]) for a in steps))
         words = self._words[self._word : self._word + room]
         bits = self._bits[self._bit >> 5 : (self._bit >> 5) + room]
-        stream = Stream(self._state.stream.coder._replace(at=np.int32(0)), np.int32(self._bit & 31))
+        stream = Stream(self._state.stream.coder._replace(at=np.zeros((), np.int32)), np.array(self._bit & 31, np.int32))
         state = self._state._replace(stream=stream)
         self._state, values = _decode_chunk(state, words, bits, self._tables, self._coefficients, padded, n)
         self._word += int(self._state.stream.coder.at)
         self._bit = (self._bit & ~31) + int(self._state.stream.bit)
         if self._word > self._word_count or self._bit > 8 * self._byte_count:
             raise TruncatedStream("a payload ends before its last frame")
-        return Floats(np.asarray(values.value)[:n], np.asarray(values.negative)[:n])
+        return Floats(*(np.asarray(a)[:n] for a in values))
 
     def first(self) -> Floats:
         """The first frame, once all others are decoded. Raises CorruptStream where the payload does not end there."""
@@ -199,16 +200,16 @@ def _decode_chunk(
     coefficients: Int32[Array, "order lanes"],
     steps: Steps,
     count: int,
-) -> tuple[_State, Floats]:
-    def frame(n: Array, carry: tuple[_State, Floats]) -> tuple[_State, Floats]:
-        state, values = carry
+) -> tuple[_State, tuple[Int32[Array, "frames lanes"], Bool[Array, "frames lanes"]]]:
+    def frame(n: Array, carry: tuple[_State, tuple[Array, Array]]) -> tuple[_State, tuple[Array, Array]]:
+        state, (values, negative) = carry
         own = expected_step(state.steps, coefficients)
         prediction = predict(state.last, own, steps.other[n], steps.weight[n])
         value, stream = float_coding.decode(jnp, state.stream, words, bits, tables, prediction, state.scale)
         scale = float_coding.next_scale(jnp, state.scale, value.value - prediction.value)
         step = (value.value - state.last.value).clip(-_STEP_LIMIT, _STEP_LIMIT) * steps.inner[n]
-        values = Floats(values.value.at[n].set(value.value), values.negative.at[n].set(value.negative))
-        return _State(stream, value, jnp.concatenate([step[None], state.steps[:-1]]), scale), values
+        now = _State(stream, value, jnp.concatenate([step[None], state.steps[:-1]]), scale)
+        return now, (values.at[n].set(value.value), negative.at[n].set(value.negative))
 
-    empty = Floats(jnp.zeros(steps.other.shape, jnp.int32), jnp.zeros(steps.other.shape, bool))
+    empty = jnp.zeros(steps.other.shape, jnp.int32), jnp.zeros(steps.other.shape, bool)
     return lax.fori_loop(0, count, frame, (state, empty))

@@ -62,8 +62,8 @@ class PathSegmentation(AbstractSegmentation):
 class Patterns(eqx.Module):
     """Search for recurring patterns; thresholds in frames, `radius` in degrees of the mean over weighted joints."""
 
-    radius: float = 12.0
-    most: int = 128
+    radius: float = 20.0
+    most: int = 64
     valid_path: int = 55
     iou_threshold: float = 0.6
     segmentation: AbstractSegmentation = SomSegmentation()

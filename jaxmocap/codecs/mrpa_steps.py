@@ -15,6 +15,7 @@ from .forest_index import SHARES, Links, without_loners
 _LINK_BITS = 120  # about what the index spends on a link besides ...
 _SHARE_BITS = 1  # ... every channel that takes a share
 _TRIAL_SHARE = 2
+_WINDOW = 24  # frames
 _FIT_ROUNDS = 6
 
 
@@ -56,7 +57,7 @@ def fit_coefficients(
         right = np.stack([(a * target * weight).sum(0) for a in past64], 1)
         beta = np.linalg.solve(normal + 1e-3 * np.eye(ORDER), right[..., None])[..., 0].T
     fits = [np.rint(32 * beta).clip(-128, 127), np.eye(ORDER, 1) * np.full(len(beta[0]), 32), 0 * beta]
-    bits = np.stack([cost(steps, expected_step(past, f.astype(np.int32)[:, None])).sum(0) for f in fits])
+    bits = np.stack([cost(steps, expected_step(past, f.astype(np.int32)[:, None])) for f in fits])
     return np.choose(bits.argmin(0), fits).astype(np.int8)
 
 
@@ -68,7 +69,7 @@ def choose_links(
     count = len(forest.starts)
     parent, back = np.full(count, -1), np.zeros(count, int)
     shares = np.zeros((count, steps.shape[1]), np.uint8)
-    for s in np.flatnonzero(forest.parent >= 0):
+    for s in np.flatnonzero(forest.parent >= 0).tolist():
         found, saved = _best_link(steps, own, forest, s)
         if saved.max(0).sum() > _LINK_BITS:
             parent[s], back[s], shares[s] = forest.parent[s], found, saved.argmax(0)
@@ -81,11 +82,11 @@ def _best_link(
     """How many frames back the parent's motion helps a segment most, and what every share of it saves, in bits."""
     start, length, p = int(forest.starts[s]), int(forest.ends[s] - forest.starts[s]) + 1, forest.parent[s]
     actual, expected = steps[start : start + length], own[start : start + length]
-    alone = cost(actual, expected).sum(0)
-    places = range(max(2, forest.starts[p] - length // 2), min(start - 1, forest.ends[p] - length // 2) + 1)
+    alone = cost(actual, expected)
+    places = range(max(0, forest.starts[p] - length // 2), min(start - 1, forest.ends[p] - length // 2) + 1)
 
     def saved(place: int, share: int) -> Float32[np.ndarray, " lanes"]:
-        return alone - cost(actual, _blend(expected, steps[place : place + length], share)).sum(0) - _SHARE_BITS * (share > 0)
+        return alone - cost(actual, _blend(expected, steps[place : place + length], share)) - _SHARE_BITS * (share > 0)
 
     gains = [np.maximum(saved(place, _TRIAL_SHARE), 0).sum() for place in places]
     if not gains:
@@ -98,6 +99,9 @@ def _blend(own: Int32[np.ndarray, "n lanes"], other: Int32[np.ndarray, "n lanes"
     return (8 - share) * own + share * other + 4 >> 3
 
 
-def cost(actual: Int32[np.ndarray, "*n"], expected: Int32[np.ndarray, "*n"]) -> Float32[np.ndarray, "*n"]:
-    """About the bits of corrections."""
-    return np.log2(8 + abs(actual - expected), dtype=np.float32)
+def cost(actual: Int32[np.ndarray, "n lanes"], expected: Int32[np.ndarray, "n lanes"]) -> Float32[np.ndarray, " lanes"]:
+    """About what a coder that adapts to the size of corrections pays for them, in bits."""
+    error = abs(actual - expected).astype(np.float32)
+    begins = np.arange(0, len(error), _WINDOW)
+    lengths = np.diff(begins, append=len(error)).astype(np.float32)[:, None]
+    return (lengths * np.log2(1 + np.add.reduceat(error, begins) / lengths)).sum(0)

@@ -17,7 +17,7 @@ from .base import Command, Report
 class Bench(Command):
     """Measure on real motion."""
 
-    names: tyro.conf.Positional[tuple[Literal["lsdt"], ...]]
+    names: tyro.conf.Positional[tuple[Literal["lossless", "lsdt"], ...]]
     """What to measure."""
     data: Path | None = None
     """The folder with cmu_bvh. Default: JAXMOCAP_DATA, or ../shared/data."""

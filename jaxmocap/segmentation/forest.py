@@ -60,7 +60,11 @@ def iou(
 def _similarities(
     starts: Int[np.ndarray, " segments"], ends: Int[np.ndarray, " segments"], paths: Paths
 ) -> Float[np.ndarray, "segments segments"]:
-    """Of every pair of segments the IoU of their counterparts: the v-segments of the h-segments that fit them best."""
+    """Of every pair of segments the IoU of their counterparts: the v-segments of the h-segments that fit them best.
+
+    Where the counterpart of one overlaps the other itself, that IoU counts if it is larger: else a motion that comes just
+    twice would find no likeness, as each is the other's counterpart.
+    """
     count = len(starts)
     if not len(paths):
         return np.zeros((count, count))
@@ -68,5 +72,7 @@ def _similarities(
     for s in range(count):
         fit = iou(paths.h[:, 0], paths.h[:, 1], starts[s], ends[s])
         v[s], has[s] = paths.v[np.argmax(fit)], fit.max() > 0
-    similarity = iou(v[:, None, 0], v[:, None, 1], v[:, 0], v[:, 1])
-    return np.where(has[:, None] & has, similarity, 0.0)
+    indirect = np.where(has, iou(v[:, None, 0], v[:, None, 1], v[:, 0], v[:, 1]), 0.0)
+    direct = iou(v[:, None, 0], v[:, None, 1], starts, ends)
+    one_way = np.where(has[:, None], np.maximum(indirect, direct), 0.0)
+    return np.maximum(one_way, one_way.T)

@@ -43,7 +43,9 @@ def radius_neighbours(
     return np.take_along_axis(found, order, 1), np.take_along_axis(distance, order, 1)
 
 
-def _leaves(flat: Float[np.ndarray, "frames dimensions"], rng: np.random.Generator, leaf: int) -> Iterator[Int[np.ndarray, " n"]]:
+def _leaves(
+    flat: Float[np.ndarray, "frames dimensions"], rng: np.random.Generator, leaf: int
+) -> Iterator[Int[np.ndarray, " n"]]:
     """The leaves of one randomised tree, as frame indices."""
     waiting = [np.arange(len(flat))]
     while waiting:

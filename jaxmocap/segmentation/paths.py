@@ -50,9 +50,9 @@ def grow_paths(
     """
     if not len(columns):
         return Paths(np.zeros((0, 2), int), np.zeros((0, 2), int), np.zeros(0, np.float32))
-    nodes = _Column(*map(np.asarray, _grow(jnp.asarray(columns), jnp.asarray(distances))))
-    at, place = np.nonzero((nodes.node >= 0) & (nodes.depth >= shortest))
-    node, top, root, depth, distance = (a[at, place] for a in nodes)
+    nodes, tops, roots, depths, sums = map(np.asarray, _grow(jnp.asarray(columns), jnp.asarray(distances)))
+    where = np.nonzero((nodes >= 0) & (depths >= shortest))
+    at, node, top, root, depth, distance = (where[0], *(a[where] for a in (nodes, tops, roots, depths, sums)))
     mean = distance / np.maximum(depth, 1)
     order = np.lexsort((mean, -depth, root, top))
     first = np.ones(len(order), bool)
@@ -65,12 +65,13 @@ def grow_paths(
 def _grow(columns: Int32[Array, "frames most"], distances: Float32[Array, "frames most"]) -> _Column:
     def step(before: _Column, x: tuple[Array, Array, Array]) -> tuple[_Column, _Column]:
         t, node, distance = x
-        jump = node[:, None] - before.node
-        apart = jnp.where(before.root > before.top, t < before.root, node[:, None] < before.top)
-        fits = (before.node >= 0) & (node[:, None] >= 0) & (jump >= 0) & (jump <= INTERVAL) & apart
+        jump = node[:, None] - before.node[None]
+        ahead = before.root > before.top
+        apart = (~ahead | (t < before.root))[None] & (ahead[None] | (node[:, None] < before.top[None]))
+        fits = (before.node >= 0)[None] & (node[:, None] >= 0) & (jump >= 0) & (jump <= INTERVAL) & apart
         mean = before.distance / jnp.maximum(before.depth, 1)
-        # Deepest first; means are far below the radius times 1, which is below one frame of depth after this scaling.
-        rank = jnp.where(fits, before.depth - mean / (1 + jnp.max(jnp.where(before.node >= 0, mean, 0))), -1.0)
+        share = mean / (1 + jnp.max(mean))  # below 1, so that it decides between equal depths alone
+        rank = jnp.where(fits, (before.depth - share)[None], -1.0)
         chosen = jnp.argmax(rank, 1)
         grown = rank[jnp.arange(len(node)), chosen] >= 0
         now = _Column(

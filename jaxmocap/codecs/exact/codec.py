@@ -19,11 +19,13 @@ from .tables import decode_table, encode_table
 from ..artifact import Artifact, find_artifact, load_artifact, parse_artifact, shipped_models
 from ..bitstream import ByteReader, varint
 from .rig_fit import fit_rig, plain_rig
+from .lanes import WORTH_COMPILING
 from .model import CODEC, RigModel, from_artifact, to_artifact
 from ..lossless import AbstractNumberCodec, NumberTable
 from ..squeeze import expand, squeeze
 
 _DIGEST_BYTES = 4
+_WORTH_COMPILING_BYTES = 80 * WORTH_COMPILING  # a frame of a figure is about so large
 _LEARNING_FRAMES = 1500  # tables with fewer frames do not pay for a model of their own
 _MAX_FRAMES = 1 << 28
 Rows = Int32[np.ndarray, "frames columns"]
@@ -48,19 +50,21 @@ class Exact(AbstractNumberCodec):
 
     def _encode_rig(self, tables: list[NumberTable]) -> tuple[bytes, list[bytes]]:
         """A model that is at hand, or else the cheapest of those that can be learned."""
+        frames = sum(len(t.integers) for t in tables)
+        compiled = frames >= WORTH_COMPILING
         known = self._known(tables[0])
         if known is not None:
             model = from_artifact(known)
-            return b"\0" + bytes.fromhex(known.digest)[:_DIGEST_BYTES], [encode_table(model, t) for t in tables]
+            return b"\0" + bytes.fromhex(known.digest)[:_DIGEST_BYTES], [encode_table(model, t, compiled) for t in tables]
         corpus = _digest(tables)
         learned = [plain_rig(tables)]
-        if sum(len(t.integers) for t in tables) >= _LEARNING_FRAMES:
+        if frames >= _LEARNING_FRAMES:
             learned.append(fit_rig(tables))
         choices = []
         for model in learned:
             raw = to_artifact(model, corpus).data
             data = squeeze(raw)
-            choices.append((b"\1" + varint(len(raw)) + varint(len(data)) + data, [encode_table(model, t) for t in tables]))
+            choices.append((b"\1" + varint(len(raw)) + varint(len(data)) + data, [encode_table(model, t, compiled) for t in tables]))
         return min(choices, key=lambda c: len(c[0]) + sum(map(len, c[1])))
 
     def _known(self, table: NumberTable) -> Artifact | None:
@@ -73,13 +77,15 @@ class Exact(AbstractNumberCodec):
 
     def decode(self, shared: bytes, payload: Callable[[int], bytes], which: Sequence[int]) -> list[NumberTable]:
         models = self._models(shared)
+        payloads = [payload(n) for n in which]
+        compiled = sum(map(len, payloads)) >= _WORTH_COMPILING_BYTES
         tables = []
-        for n in which:
-            reader = ByteReader(payload(n))
+        for data in payloads:
+            reader = ByteReader(data)
             number = reader.varint()
             if number >= len(models):
                 raise CorruptStream(f"a table names rig {number}, the archive holds {len(models)}")
-            tables.append(decode_table(models[number], reader))
+            tables.append(decode_table(models[number], reader, compiled))
         return tables
 
     def _models(self, shared: bytes) -> list[RigModel]:

@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float, Int32
 
-from . import lanes
+from . import lanes, wave
 from ..entropy.lanes import TOTAL
-from .lanes import CLASSES, FEATURES, PER_OCTAVE, SCALE_BITS, SYMBOLS, WEIGHT_BITS, LaneModel
+from .lanes import SYMBOLS
+from .wave import CLASSES, FEATURES, FRACTION, LOG_FLOOR, PER_OCTAVE, RATES, SCALE_BITS, WEIGHT_BITS, LaneModel
 
 Values = Int32[np.ndarray, "frames lanes"]
 _RIDGE = 1e-4
@@ -35,41 +36,41 @@ def untrained(count: int, moving: int) -> LaneModel:
     """Second differences, scales from the lane's own averages, and tables of a Laplace mixture."""
     own = np.tile(np.array([0, 77, 77, 77, 13, 12], np.int16), (count, 1))
     square = np.zeros((count, count))
-    start = np.tile(np.array([18, 14, 8], np.int16) * PER_OCTAVE + lanes.LOG_FLOOR, (count, 1))
+    start = np.tile(np.array([18, 14, 8], np.int16) * PER_OCTAVE + LOG_FLOOR, (count, 1))
     prior = np.stack([_rounded(row) for row in _mixture()])
-    return LaneModel(moving, square.astype(np.int16), own, square.astype(np.int8), start, prior)
+    return LaneModel(np.zeros((moving, moving), np.int16), own, square.astype(np.int8), start, prior)
 
 
 def _starts(files: Sequence[Values], moving: int, model: LaneModel | None = None) -> np.ndarray:
     """Classes that hold the first two frames, and the mean logarithm of what follows."""
-    moves = np.arange(files[0].shape[1]) < moving
-    changes = [np.where(moves, lanes.changes(f), f) for f in files]
-    if model is not None:
-        changes = [lanes.residuals(model, f)[0] for f in files]
+    if model is None:
+        changes = [np.concatenate([lanes.differences(f[:, :moving]), f[:, moving:]], 1) for f in files]
+    else:
+        changes = [lanes.residuals(model, f, True)[0] for f in files]
     first, second = (np.stack([c[n] for c in changes]) for n in (0, 1))
-    logs = [lanes.magnitude_logarithm(np, np.abs(c[2:])) for c in changes]
+    logs = [wave.magnitude_logarithm(np, np.abs(c[2:])) for c in changes]
     mean = np.concatenate(logs).mean(0)
-    large = [lanes.magnitude_logarithm(np, np.abs(x)).mean(0) for x in (first, second)]
+    large = [wave.magnitude_logarithm(np, np.abs(x)).mean(0) for x in (first, second)]
     return np.rint(np.stack([*large, mean], 1)).astype(np.int16)
 
 
 def _prediction_weights(model: LaneModel, files: Sequence[Values]) -> np.ndarray:
     """How the second differences of earlier lanes predict each lane's, weighed by the lane's momentary scale."""
-    count = model.count
+    count = model.moving
     weights = np.zeros((count, count), np.int16)
     products = np.zeros((count, count, count))
     aims = np.zeros((count, count))
     for file in files:
-        change = np.clip(lanes.changes(file), -(1 << 16), 1 << 16)[2:, : model.moving].astype(np.float64)
-        classes = lanes.residuals(model, file)[1][2:, : model.moving]
-        for c in range(1, model.moving):
+        change = np.clip(lanes.differences(file[:, :count]), -wave.DRIVING_CLIP, wave.DRIVING_CLIP)[2:].astype(np.float64)
+        classes = lanes.residuals(model, file, True)[1][2:, :count]
+        for c in range(1, count):
             scale = 2.0 ** (classes[:, c] / 4)
             weight = 1 / np.maximum(scale, np.abs(change[:, c]) / _HUBER)
             weighted = change[:, : c + 1] * weight[:, None]
             gram = weighted.T @ weighted
             products[c, :c, :c] += gram[:c, :c]
             aims[c, :c] += gram[c, :c]
-    for c in range(1, model.moving):
+    for c in range(1, count):
         solved = np.rint(_solve(products[c, :c, :c], aims[c, :c]) * (1 << WEIGHT_BITS))
         solved = np.clip(solved, -(1 << 14), 1 << 14)
         if np.abs(solved).sum() < _WEIGHT_LIMIT:
@@ -84,8 +85,8 @@ def _with_scales(model: LaneModel, files: Sequence[Values]) -> LaneModel:
     products = np.zeros((count, 1 + FEATURES + count, 1 + FEATURES + count))
     aims = np.zeros(products.shape[:2])
     for file in files:
-        residual = lanes.residuals(model, file)[0]
-        averaged, logs, log = lanes.own_logarithms(model.start[:, 2], residual)
+        residual = lanes.residuals(model, file, True)[0]
+        averaged, logs, log = _own_logarithms(model.start[:, 2], residual)
         surprise = (log - averaged[1])[_SETTLED:].astype(np.float64)
         features = np.concatenate([np.ones((1, *log.shape)), averaged, logs])[:, _SETTLED:].astype(np.float64)
         for c in range(count):
@@ -101,6 +102,21 @@ def _with_scales(model: LaneModel, files: Sequence[Values]) -> LaneModel:
         own[c, 1:] = solved[1 : 1 + FEATURES]
         shared[c, :c] = np.clip(solved[1 + FEATURES :], -127, 127)
     return replace(model, own=own, shared=shared)
+
+
+def _own_logarithms(start: np.ndarray, residual: Values) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What a lane's own past gives for every frame, as in wave.py: logarithms of its averages (3, frames, lanes) and of its
+    two last magnitudes (2, ...), and the logarithm of the frame's own magnitude."""
+    log = wave.magnitude_logarithm(np, np.abs(residual))
+    target = np.minimum(np.abs(residual), wave.MAGNITUDE_CLIP) << FRACTION
+    averages = np.empty((len(residual), len(RATES), residual.shape[1]), np.int32)
+    state = np.tile(np.rint(2.0 ** (start / PER_OCTAVE)).astype(np.int32), (len(RATES), 1))
+    for n in range(len(residual)):
+        averages[n] = state
+        if n >= 2:
+            state = state + (target[n] - state >> np.array(RATES, np.int32)[:, None])
+    last = [np.concatenate([np.tile(start, (2 + lag, 1)), log[2:-lag]]) for lag in (1, 2)]
+    return wave.logarithm(np, averages.transpose(1, 0, 2) + (1 << FRACTION - 5)), np.stack(last), log
 
 
 def _solve(gram: Float[np.ndarray, "n n"], aim: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:

@@ -57,7 +57,8 @@ def joints(columns: Sequence[str]) -> list[Joint]:
 
 def fit_geometry(table: Table, columns: Sequence[str]) -> list[AbstractLaw]:
     """Laws of single joints, then of pairs, each measured on the table; in an order in which all inputs come first."""
-    chosen = table[np.linspace(0, len(table) - 1, min(len(table), _SAMPLES)).astype(int)]
+    triples = np.linspace(0, len(table) - 3, max(min(len(table), _SAMPLES) // 3, 1)).astype(int)
+    chosen = table[np.add.outer(triples, np.arange(3)).ravel()]  # frames by threes, for their second differences
     moving = (chosen != chosen[0]).any(0)
     candidates = [j for j in joints(columns) if moving[list(j.columns)].all()]
     matrices = {j: _matrices(chosen, j) for j in candidates}
@@ -90,8 +91,13 @@ def _cost(table: Table, joint: Joint, laws: Sequence[AbstractLaw]) -> float:
     """Bits of what the laws leave, and of the second differences of the angles that stay free."""
     targets = [t for law in laws for t in law.targets]
     free = [c for c in joint.columns if c not in targets]
-    change = wrapped(np.diff(table[:, free].astype(np.int64), axis=0), DECIMALS).T
-    return sum(_bits(residuals(law, table, DECIMALS)) for law in laws) + _bits(change)
+    return sum(_bits(residuals(law, table, DECIMALS)) for law in laws) + _free_bits(table, free)
+
+
+def _free_bits(table: Table, columns: Sequence[int]) -> float:
+    """What columns cost that no law tells; the frames of the table come by threes."""
+    angles = table[:, list(columns)].astype(np.int64).reshape(-1, 3, len(columns))
+    return _bits(wrapped(angles[:, 2] - 2 * angles[:, 1] + angles[:, 0], DECIMALS).T)
 
 
 def _hinge_laws(joint: Joint, axis: np.ndarray) -> list[list[Constrained]]:
@@ -134,8 +140,7 @@ def _aimed_laws(table: Table, matrices: dict[Joint, np.ndarray], best: dict[Join
         third = own[0]
         laws = [Aimed(joint, source, third.unknown, d, k, third.u, third.v, third.g, b) for b in (1, -1)]
         law = _polished(table, min(laws, key=lambda x: _bits(residuals(x, table, DECIMALS))))
-        free = wrapped(np.diff(table[:, list(law.targets)].astype(np.int64), 2, axis=0), DECIMALS).T
-        if _bits(residuals(law, table, DECIMALS)) < _bits(free):
+        if _bits(residuals(law, table, DECIMALS)) < _free_bits(table, law.targets):
             aimed[joint] = law
     return list(aimed.values())
 
@@ -169,8 +174,8 @@ def _polynomial(now: np.ndarray, after: np.ndarray, joint: Joint, others: list[J
     inputs = tuple(c for o in others for c in o.columns)
     scales = tuple(int(s) for s in np.maximum(np.percentile(np.abs(now[:, inputs]), 99, axis=0), 1))
     one = float(1 << TERM_BITS)
-    terms = monomials(now[:, inputs].T, scales, _DEGREE) / one
-    steps = monomials(after[:, inputs].T, scales, _DEGREE) / one - terms
+    terms = monomials(now[:, inputs].T, scales, _DEGREE).T / one
+    steps = monomials(after[:, inputs].T, scales, _DEGREE).T / one - terms
     solved = []
     for c in joint.columns:
         step = wrapped(after[:, c] - now[:, c], DECIMALS)

@@ -7,6 +7,7 @@ of them. A joint that aims where another one points has all three. What a law pr
 from __future__ import annotations
 
 import abc
+import functools
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -156,7 +157,7 @@ class Polynomial(AbstractLaw):
     """Targets near a polynomial of other angles, for what has no closed form.
 
     All sums are of whole numbers that doubles hold exactly, so that their order does not matter. `scales`: the angle (1e-4
-    degrees) that becomes 1; `coefficients[term, target]` in 2^-COEFFICIENT_BITS of 1e-4 degrees, for the terms of `exponents`.
+    degrees) that becomes 1; `coefficients[term, target]` in 2^-COEFFICIENT_BITS of 1e-4 degrees, for the terms of `monomials`.
     """
 
     targets: tuple[int, ...]
@@ -178,28 +179,32 @@ class Polynomial(AbstractLaw):
 
     def predict(self, angles: Float[np.ndarray, "columns frames"]) -> list[Angles]:
         terms = monomials(angles[list(self.inputs)], self.scales, self.degree)
-        return list((terms @ self.coefficients).T / (1 << TERM_BITS + COEFFICIENT_BITS))
+        return list(self.coefficients.T @ terms / (1 << TERM_BITS + COEFFICIENT_BITS))
 
 
-def exponents(variables: int, degree: int) -> list[tuple[int, ...]]:
-    """Of all monomials up to the degree, by degree."""
+@functools.cache
+def _recipe(variables: int, degree: int) -> tuple[tuple[int, int], ...]:
+    """Every monomial up to the degree but 1, by degree: the variable and the earlier monomial that it is the product of."""
     every = itertools.product(range(degree + 1), repeat=variables)
-    return sorted((e for e in every if sum(e) <= degree), key=lambda e: (sum(e), e))
+    ordered = sorted((e for e in every if sum(e) <= degree), key=lambda e: (sum(e), e))
+    place = {e: n for n, e in enumerate(ordered)}
+    recipe = []
+    for e in ordered[1:]:
+        i = next(k for k, power in enumerate(e) if power)
+        recipe.append((i, place[*e[:i], e[i] - 1, *e[i + 1 :]]))
+    return tuple(recipe)
 
 
-def monomials(angles: Float[np.ndarray, "inputs frames"], scales: Sequence[int], degree: int) -> Float[np.ndarray, "frames terms"]:
+def monomials(angles: Float[np.ndarray, "inputs frames"], scales: Sequence[int], degree: int) -> Float[np.ndarray, "terms frames"]:
     """Whole numbers of 2^-TERM_BITS; an angle beyond _REACH scales counts as that."""
     one = float(1 << TERM_BITS)
-    units = np.rint(np.clip(angles / np.array(scales, np.float64)[:, None], -_REACH, _REACH) * one)
-    found = {(0,) * len(scales): np.full(angles.shape[1], one)}
-    out = np.empty((angles.shape[1], len(exponents(len(scales), degree))))
-    for n, e in enumerate(exponents(len(scales), degree)):
-        if any(e):
-            i = next(k for k, power in enumerate(e) if power)
-            lower = (*e[:i], e[i] - 1, *e[i + 1 :])
-            found[e] = np.rint(found[lower] * units[i] / one)
-        out[:, n] = found[e]
-    return out
+    units = np.clip(angles / np.array(scales, np.float64)[:, None], -_REACH, _REACH)
+    recipe = _recipe(len(scales), degree)
+    terms = np.empty((1 + len(recipe), angles.shape[1]))
+    terms[0] = one
+    for n, (i, lower) in enumerate(recipe, 1):
+        np.rint(np.multiply(terms[lower], units[i], out=terms[n]), out=terms[n])
+    return terms
 
 
 def residuals(law: AbstractLaw, table: Int32[np.ndarray, "frames columns"], decimals: int) -> list[Integers]:

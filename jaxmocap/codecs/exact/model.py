@@ -10,7 +10,7 @@ from jaxtyping import Int32
 
 from ...errors import FormatError
 from ..artifact import Artifact, make_artifact
-from .lanes import LaneModel
+from .wave import LaneModel
 from .laws import AbstractLaw, law_from_spec, law_spec
 
 CODEC = "exact"
@@ -64,7 +64,6 @@ def to_artifact(model: RigModel, corpus: str) -> Artifact:
         "corpus": corpus,
         "columns": list(model.columns),
         "decimals": model.decimals,
-        "moving_lanes": model.lanes.moving,
         "laws": [law_spec(law) for law in model.laws],
     }
     lanes = model.lanes
@@ -97,7 +96,7 @@ def from_artifact(artifact: Artifact) -> RigModel:
         tensors["mean"],
         tuple(tensors["moving"].tolist()),
         tuple(law_from_spec(s, tensors[f"law.{n}"].tolist()) for n, s in enumerate(spec["laws"])),
-        LaneModel(spec["moving_lanes"], *(tensors[f"lanes.{n}"] for n in names)),
+        LaneModel(*(tensors[f"lanes.{n}"] for n in names)),
         tuple(tensors["signs"].tolist()),
         tensors["header"].tobytes(),
     )

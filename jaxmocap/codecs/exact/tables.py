@@ -34,7 +34,7 @@ class Exceptions:
     strays: list[int] = field(default_factory=list)
 
 
-def encode_table(model: RigModel, table: NumberTable) -> bytes:
+def encode_table(model: RigModel, table: NumberTable, compiled: bool) -> bytes:
     """Frames, side information and lanes; the side information begins in the 16 bits that every lane has to spare."""
     rests = _begins_with_rest(model, table.integers)
     body = table.integers[1:] if rests else table.integers
@@ -49,12 +49,12 @@ def encode_table(model: RigModel, table: NumberTable) -> bytes:
         side += b"".join(map(_list_bytes, (odd.unwrapped, odd.lawless, odd.strays)))
         side += b"".join(_stray_bytes(body[:, c]) for c in odd.strays)
     side += signs.encode(table.integers == 0, table.negative_zeros, model.signs)
-    coded, more = lanes.encode(model.lanes, values, side) if values.size else (b"", side)
+    coded, more = lanes.encode(model.lanes, values, side, compiled) if values.size else (b"", side)
     head = varint(len(table.integers) << 2 | any_odd * _ODD | rests * _RESTS)
     return head + varint(len(side)) + more + coded
 
 
-def decode_table(model: RigModel, reader: ByteReader) -> NumberTable:
+def decode_table(model: RigModel, reader: ByteReader, compiled: bool) -> NumberTable:
     """What `encode_table` wrote. Raises CorruptStream or TruncatedStream."""
     head, length = reader.varint(), reader.varint()
     frames, rests = head >> 2, bool(head & _RESTS)
@@ -65,7 +65,7 @@ def decode_table(model: RigModel, reader: ByteReader) -> NumberTable:
     more = reader.take(length - spare)
     values, begun = np.zeros((body_frames, count), np.int32), b""
     if values.size:
-        values, begun = lanes.decode(model.lanes, reader, body_frames, spare)
+        values, begun = lanes.decode(model.lanes, reader, body_frames, spare, compiled)
     side = ByteReader(begun + more)
     first = _read_rest(model, side) if rests else None
     odd = Exceptions()
@@ -159,12 +159,13 @@ def _cost(columns: Sequence[np.ndarray]) -> float:
 
 
 def _wild(model: RigModel, values: Int32[np.ndarray, "frames lanes"]) -> list[int]:
-    """Columns whose lanes leave more than a symbol can say."""
-    if not values.size:
-        return []
-    left = np.abs(lanes.residuals(model.lanes, values)[0].astype(np.int64)).max(0)
+    """Columns whose lanes may leave more than a symbol can say."""
+    large = np.abs(values.astype(np.int64)) >= lanes.LIMIT // 2
+    first, moving = values[:1], model.lanes.moving
+    change = np.abs(np.diff(values[:, :moving].astype(np.int64), 2, axis=0)) >= lanes.LIMIT // 2
+    wild = np.concatenate([change.any(0) | (np.abs(first[:, :moving].astype(np.int64)) >= lanes.LIMIT // 2).any(0), large[:, moving:].any(0)])
     coded = [*model.moving, *model.targets]
-    return [coded[n] for n in np.flatnonzero(left >= lanes.LIMIT)]
+    return [coded[n] for n in np.flatnonzero(wild)]
 
 
 def _begins_with_rest(model: RigModel, integers: Rows) -> bool:
