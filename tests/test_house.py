@@ -13,11 +13,12 @@ PACKAGE = Path(jaxmocap.__file__).parent
 ROOT = Path(__file__).resolve().parents[1]
 LAYERS = ("core", "codecs", "training", "top")  # each may import itself and those before it
 TOP = ("bench", "commands", "__main__")
+PEERS = {"brotli", "fpzip", "pcodec", "pyppmd"}  # of the benchmarks, optional
 OUTSIDE = {
     "core": {"jax", "equinox", "numpy", "scipy", "jaxtyping"},
     "codecs": {"jax", "equinox", "numpy", "scipy", "jaxtyping", "constriction", "safetensors", "zstandard"},
     "training": {"jax", "equinox", "numpy", "scipy", "jaxtyping", "safetensors", "optax", "matplotlib"},
-    "top": {"jax", "equinox", "numpy", "scipy", "jaxtyping", "matplotlib", "tyro", "tqdm"},
+    "top": {"jax", "equinox", "numpy", "scipy", "jaxtyping", "matplotlib", "tyro", "tqdm", "zstandard", *PEERS},
 }
 
 

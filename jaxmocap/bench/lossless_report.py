@@ -105,13 +105,13 @@ def text(result: dict) -> str:
         "without the signs of zeros. Seconds are those of the processor, on one core; packing verifies by unpacking.",
     ]
     for name, found in result["databases"].items():
-        lines += ["", f"{name} (subject {found['subject']}): {_about(found)}", *_table(found["rows"])]
+        lines += ["", f"{name} (subject {found['subject']}): {_about(found)}", *table(found["rows"])]
         lines += [*_learned(found["learned"]), *_published(found["published"])]
     lines += ["", "one file of a database:"] + [
         f"  {r['codec']:<8}{r['file']} {r['one_s']:.3f} s, all {r['files']} {r['all_s']:.3f} s" for r in result["one_file"]
     ]
     for name, found in result["corpora"].items():
-        lines += ["", f"{name}: {_about(found)}", *_table(found["rows"])]
+        lines += ["", f"{name}: {_about(found)}", *table(found["rows"])]
     lines += ["", *_thresholds(result["thresholds"]), "", "LengthThr and ratio (Table 3):"]
     for one in result["length_ratios"]:
         ratios = "  ".join(f"{r['value']} {r['ratio']:.3f}" for r in one["rows"])
@@ -133,7 +133,8 @@ def _about(found: dict) -> str:
     return f"{found['files']} files, {found['frames']:,} frames, {found['text_bytes']:,} bytes"
 
 
-def _table(rows: list[dict]) -> list[str]:
+def table(rows: list[dict]) -> list[str]:
+    """Rows as lines, below a head."""
     head = f"  {'':<36}{'of':<8}{'bytes':>12}{'ratio':>8}{'float32':>9}"
     return [f"{head}{'compress s':>13}{'frames/s':>11}{'decompress s':>14}{'frames/s':>12}", *map(_line, rows)]
 

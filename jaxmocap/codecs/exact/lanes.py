@@ -15,7 +15,7 @@ from ...errors import CorruptStream
 from ..bitstream import ByteReader, varint
 from ..entropy import lanes as rans
 from . import wave as waves
-from .wave import CLASSES, LaneModel, Tables, Wave, computed_once
+from .wave import CLASSES, LaneModel, Tables, Wave
 
 _BLOCK = 512  # steps compiled together
 WORTH_COMPILING = 3000  # frames; fewer are done in NumPy before XLA would have compiled
@@ -149,18 +149,18 @@ def _place(xp: ModuleType, step, frames, lanes: int):
 def _predict_step(xp: ModuleType, tables: Tables, frames, wave: Wave, step, change):
     """A step of encoding: the changes are known, what is left of them is wanted."""
     at, frame, active = _place(xp, step, frames, len(change))
+    wave = waves.entered(xp, tables, wave, at)
     expected = waves.expect(xp, tables, wave, at, frame)
-    residual, classes = computed_once(xp, change - expected.change, expected.classes)
-    expected = expected._replace(classes=classes)
-    return waves.learn(xp, tables, wave, at, frame, active, expected, change, residual), (residual, classes)
+    residual = change - expected.change
+    return waves.learn(xp, tables, wave, frame, active, expected, change, residual), (residual, expected.classes)
 
 
 def _read_step(xp: ModuleType, tables: Tables, streams: Streams, frames, state: Reading, step):
     """A step of decoding: what is left is read, the values follow."""
-    wave = state.wave
-    at, frame, active = _place(xp, step, frames, len(wave.value))
+    at, frame, active = _place(xp, step, frames, len(state.wave.value))
+    wave = waves.entered(xp, tables, state.wave, at)
     expected = waves.expect(xp, tables, wave, at, frame)
-    classes, expected_change = computed_once(xp, expected.classes, expected.change)
+    classes = expected.classes
     rows = streams.cumulative[classes]
     symbol = (rows[:, 1:] <= rans.slots(state.coder)[:, None]).sum(1, dtype=np.int32)
     low = xp.take_along_axis(rows, symbol[:, None], 1)[:, 0]
@@ -168,17 +168,16 @@ def _read_step(xp: ModuleType, tables: Tables, streams: Streams, frames, state: 
     low = xp.where(active, low, np.uint32(0))
     high = xp.where(active, high, np.uint32(rans.TOTAL))
     shift = xp.where(symbol == _ESCAPE, np.int32(0), xp.maximum((classes >> 2) - np.int32(3), 0))
-    symbol, shift, low, high = computed_once(xp, symbol, shift, low, high)
     coder = rans.advance(xp, state.coder, streams.words, low, high - low)
     signed = active & ((symbol > 0) | (shift > 0))
-    (count,) = computed_once(xp, xp.where(signed, xp.asarray(_EXTRA)[symbol] + shift + 1, 0))
+    count = xp.where(signed, xp.asarray(_EXTRA)[symbol] + shift + 1, 0)
     raw, bit = rans.take_bits(xp, state.bit, streams.bits, count)
     raw = raw.astype(np.int32)
     magnitude = (xp.asarray(_BASES)[symbol] << shift) + (raw >> 1)
     residual = xp.where(raw & 1 == 1, -magnitude, magnitude)
-    residual, change = computed_once(xp, residual, residual + expected_change)
+    change = residual + expected.change
     value = wave.value + wave.velocity + change
-    wave = waves.learn(xp, tables, wave, at, frame, active, expected._replace(classes=classes), change, residual)
+    wave = waves.learn(xp, tables, wave, frame, active, expected, change, residual)
     return Reading(wave, coder, bit), value
 
 

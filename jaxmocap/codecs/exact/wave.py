@@ -85,6 +85,10 @@ class Wave(NamedTuple):
     logs: Array | np.ndarray  # (2, lanes)
     past: Array | np.ndarray  # (lags, moving): own values of frames before, in units of their scale
     past_weights: Array | np.ndarray  # (lags, moving)
+    surprise: Array | np.ndarray  # (lanes,): what the step before found, still to be entered into the matrices
+    driving: Array | np.ndarray  # (moving,), likewise
+    unit: Array | np.ndarray  # (moving,), likewise
+    error: Array | np.ndarray  # (moving,), likewise
     weights: Array | np.ndarray  # (moving, from moving), adaptive
     scaled: Array | np.ndarray  # (rows, to lanes): sums of `shared` so far
     predicted: Array | np.ndarray  # (rows, to moving): sums of the model's weights so far
@@ -117,7 +121,7 @@ def begin(xp: ModuleType, model: LaneModel, room: int) -> Wave:
     lanes, moving = model.count, model.moving
     average = np.rint(2.0 ** (model.start[:, 2] / PER_OCTAVE)).astype(np.int32)
     logs = np.stack([model.start[:, 2].astype(np.int32)] * 2)
-    shapes = [(_LAGS, moving), (_LAGS, moving), (moving, moving)]
+    shapes: list[tuple[int, ...]] = [(_LAGS, moving), (_LAGS, moving), (lanes,), (moving,), (moving,), (moving,), (moving, moving)]
     shapes += [(room + lanes, lanes), (room + moving, moving), (room + moving, moving)]
     zeros = [np.zeros(s, np.int32) for s in ((lanes,), (lanes,), *shapes)]
     return Wave(*(xp.asarray(a) for a in (*zeros[:2], np.stack([average] * len(RATES)), logs, *zeros[2:])))
@@ -132,6 +136,22 @@ def turned(xp: ModuleType, wave: Wave, room: int) -> Wave:
 def tables(xp: ModuleType, model: LaneModel) -> Tables:
     arrays = (model.weights.T, model.shared.T, model.own.T, model.start.T)
     return Tables(*(xp.asarray(a.astype(np.int32)) for a in arrays))
+
+
+def entered(xp: ModuleType, t: Tables, wave: Wave, at) -> Wave:
+    """The wave with what the step before found in its matrices.
+
+    This waits for a step, since XLA would compute a vector again for every element of the matrix that it enters.
+    """
+    before = at + 1
+    here = xp.arange(len(wave.unit))[:, None] == xp.arange(len(wave.unit))
+    inputs = _rows(xp, wave.inputs, before)
+    return wave._replace(
+        weights=_corrected(xp, wave.weights, wave.error[:, None], inputs),
+        scaled=_put(xp, wave.scaled, before, _rows(xp, wave.scaled, before) + t.shared * wave.surprise[:, None]),
+        predicted=_put(xp, wave.predicted, before, _rows(xp, wave.predicted, before) + t.weights * wave.driving[:, None]),
+        inputs=_put(xp, wave.inputs, before, xp.where(here, wave.unit[:, None], inputs)),
+    )
 
 
 def expect(xp: ModuleType, t: Tables, wave: Wave, at, frame) -> Expected:
@@ -156,7 +176,7 @@ def expect(xp: ModuleType, t: Tables, wave: Wave, at, frame) -> Expected:
     return Expected(classes, change, xp.where(warm[:moving], fixed, 0), averaged)
 
 
-def learn(xp: ModuleType, t: Tables, wave: Wave, at, frame, active, expected: Expected, change, residual) -> Wave:
+def learn(xp: ModuleType, t: Tables, wave: Wave, frame, active, expected: Expected, change, residual) -> Wave:
     """The wave after every active lane has learned its change, of which the residual was not expected."""
     moving = len(t.weights)
     warm = active & (frame >= 2)
@@ -173,23 +193,19 @@ def learn(xp: ModuleType, t: Tables, wave: Wave, at, frame, active, expected: Ex
     unit = xp.where(warm[:moving], _in_units(xp, change[:moving] - expected.fixed, classes, _INPUT_CLIP), 0)
     error = xp.where(warm[:moving], _in_units(xp, residual[:moving], classes, _ERROR_CLIP), 0)
     rate = _RATE + np.int32(_RATE * _RATE_BOOST * _RATE_FRAMES) // (_RATE_FRAMES + xp.maximum(frame[:moving], 0))
-    surprise, driving, unit, error, rate = computed_once(xp, surprise, driving, unit, error, rate)
-
-    inputs = _rows(xp, wave.inputs, at)
-    here = xp.arange(moving)[:, None] == xp.arange(moving)
     still = xp.zeros(len(frame) - moving, np.int32)
     past = xp.concatenate([unit[None], wave.past[:-1]])
-    return Wave(
-        xp.concatenate([value, still]),
-        xp.concatenate([velocity, still]),
-        xp.where(warm, averages, wave.averages),
-        xp.where(warm, xp.stack([log, wave.logs[0]]), wave.logs),
-        xp.where(warm[:moving], past, wave.past),
-        _corrected(xp, wave.past_weights, error * rate, wave.past),
-        _corrected(xp, wave.weights, (error * rate)[:, None], inputs),
-        _put(xp, wave.scaled, at, _rows(xp, wave.scaled, at) + t.shared * surprise[:, None]),
-        _put(xp, wave.predicted, at, _rows(xp, wave.predicted, at) + t.weights * driving[:, None]),
-        _put(xp, wave.inputs, at, xp.where(here, unit[:, None], inputs)),
+    return wave._replace(
+        value=xp.concatenate([value, still]),
+        velocity=xp.concatenate([velocity, still]),
+        averages=xp.where(warm, averages, wave.averages),
+        logs=xp.where(warm, xp.stack([log, wave.logs[0]]), wave.logs),
+        past=xp.where(warm[:moving], past, wave.past),
+        past_weights=_corrected(xp, wave.past_weights, error * rate, wave.past),
+        surprise=surprise,
+        driving=driving,
+        unit=unit,
+        error=error * rate,
     )
 
 
@@ -197,11 +213,6 @@ def _corrected(xp: ModuleType, weights, error, inputs):
     """A step of least mean squares."""
     limit = 1 << _ADAPTIVE_BITS
     return xp.clip(weights + (error * inputs + np.int32(1 << 11) >> 12), -limit, limit)
-
-
-def computed_once(xp: ModuleType, *arrays):
-    """Keeps XLA from computing a vector again for every element of what it enters."""
-    return arrays if xp is np else jax.lax.optimization_barrier(arrays)
 
 
 def _in_units(xp: ModuleType, x, classes, clip: int):
