@@ -14,14 +14,16 @@ from jaxmocap.codecs import load_artifact
 from jaxmocap.codecs.artifact import shipped_models
 from jaxmocap.training import TRAINERS
 
+STARTS = {"lsdt-clip": 1, "exact": 0}  # lossy codecs learn without the T-pose, archives have to keep it
 MODELS = Path(__file__).resolve().parents[1] / "jaxmocap" / "models"
 
 
 def main() -> int:
     arguments = [a for a in sys.argv[1:] if a != "--write"]
-    corpus = train_corpus(data_folder(Path(arguments[0]) if arguments else None))
+    data = data_folder(Path(arguments[0]) if arguments else None)
     same = True
     for name, train in TRAINERS.items():
+        corpus = train_corpus(data, STARTS[name])
         with tempfile.TemporaryDirectory() as folder:
             artifact, report = train(corpus, Path(folder) / "partial")
         shipped = load_artifact(name).digest if name in shipped_models() else "none"

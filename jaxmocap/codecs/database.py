@@ -17,11 +17,15 @@ from .artifact import Artifact, find_artifact, load_artifact, parse_artifact, sh
 from .container import DIGEST_BYTES
 from .exact import Exact
 from .lossless import AbstractNumberCodec
+from .mrpa import Mrpa
 from .number_text import NumberText, format_numbers
 
 # Registering a number codec is what has it tested: tests/test_pack.py runs over this table. A codec is made with its model,
 # which is None where no model is given and none is shipped under its id.
-NUMBER_CODECS: dict[str, Callable[[Artifact | None], AbstractNumberCodec]] = {"exact": Exact}
+NUMBER_CODECS: dict[str, Callable[[Artifact | None], AbstractNumberCodec]] = {
+    "exact": Exact,
+    "mrpa": lambda _: Mrpa(),
+}
 DEFAULT = "exact"
 _BATCH = 64 << 20  # bytes of text that are decoded at a time
 

@@ -3,15 +3,27 @@
 from __future__ import annotations
 
 import io
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 
 def draw(report: dict) -> bytes:
-    """A PNG: the objective of each coordinate over the iterations, and nonzero coefficients a frame over the step."""
+    """A PNG of what the report of a trainer says."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(10, 4), layout="constrained")
+    _DRAWINGS[report["codec"]](figure, report)
+    out = io.BytesIO()
+    figure.savefig(out, format="png", dpi=110)
+    return out.getvalue()
+
+
+def _draw_lsdt(figure: Figure, report: dict) -> None:
+    """The objective of each coordinate over the iterations, and nonzero coefficients a frame over the step."""
     left, right = figure.subplots(1, 2)
     objective = np.array(report["objective"])
     for curve, name in zip(objective.T, "xyz", strict=True):
@@ -22,6 +34,16 @@ def draw(report: dict) -> bytes:
     right.set(title="what is left to code", xlabel="quantiser step, cm", ylabel="nonzero coefficients a frame")
     for axes in (left, right):
         axes.grid(alpha=0.3)
-    out = io.BytesIO()
-    figure.savefig(out, format="png", dpi=110)
-    return out.getvalue()
+
+
+def _draw_exact(figure: Figure, report: dict) -> None:
+    """Where the bits of a frame go, column by column."""
+    axes = figure.subplots()
+    bits = report["bits_a_frame"]
+    axes.bar(range(len(bits)), list(bits.values()))
+    axes.set_xticks(range(len(bits)), list(bits), rotation=90, fontsize=5)
+    axes.set(title=f"{sum(bits.values()):.0f} bits a frame", ylabel="bits a value")
+    axes.grid(alpha=0.3, axis="y")
+
+
+_DRAWINGS = {"lsdt-clip": _draw_lsdt, "exact": _draw_exact}

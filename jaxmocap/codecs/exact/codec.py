@@ -8,33 +8,33 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
-from jaxtyping import Int32
 
-from ...errors import CorruptStream, FormatError
+from ...errors import CorruptStream
 from .tables import decode_table, encode_table
-from ..artifact import Artifact, find_artifact, load_artifact, parse_artifact, shipped_models
+from ..artifact import Artifact, parse_artifact
 from ..bitstream import ByteReader, varint
 from .rig_fit import fit_rig, plain_rig
 from .lanes import WORTH_COMPILING
-from .model import CODEC, RigModel, from_artifact, to_artifact
+from .model import RigModel, from_artifact, to_artifact
 from ..lossless import AbstractNumberCodec, NumberTable
 from ..squeeze import expand, squeeze
 
-_DIGEST_BYTES = 4
+_GIVEN, _LEARNED = 0, 1  # the model is the artifact, or stored
 _WORTH_COMPILING_BYTES = 80 * WORTH_COMPILING  # a frame of a figure is about so large
 _LEARNING_FRAMES = 1500  # tables with fewer frames do not pay for a model of their own
-_MAX_FRAMES = 1 << 28
-Rows = Int32[np.ndarray, "frames columns"]
 
 
 class Exact(AbstractNumberCodec):
-    """`artifact` is a rig model besides the shipped ones; tables that none fits have theirs learned, and stored."""
+    """`artifact` is the model of the rig that is expected; tables of other rigs have theirs learned, and stored."""
 
     artifact: Artifact | None = None
+
+    @property
+    def dictionary(self) -> bytes:
+        """Text that files of the rig share."""
+        return b"" if self.artifact is None else from_artifact(self.artifact).header
 
     def encode(self, tables: Sequence[NumberTable]) -> tuple[bytes, list[bytes]]:
         groups: dict[tuple[tuple[str, ...], int], list[int]] = {}
@@ -49,31 +49,21 @@ class Exact(AbstractNumberCodec):
         return shared, payloads
 
     def _encode_rig(self, tables: list[NumberTable]) -> tuple[bytes, list[bytes]]:
-        """A model that is at hand, or else the cheapest of those that can be learned."""
+        """The artifact's model where it fits, or else the cheapest of those that can be learned."""
         frames = sum(len(t.integers) for t in tables)
         compiled = frames >= WORTH_COMPILING
-        known = self._known(tables[0])
-        if known is not None:
-            model = from_artifact(known)
-            return b"\0" + bytes.fromhex(known.digest)[:_DIGEST_BYTES], [encode_table(model, t, compiled) for t in tables]
-        corpus = _digest(tables)
+        if self.artifact is not None and (model := from_artifact(self.artifact)).fits(tables[0].columns, tables[0].decimals):
+            return bytes([_GIVEN]), [encode_table(model, t, compiled) for t in tables]
         learned = [plain_rig(tables)]
         if frames >= _LEARNING_FRAMES:
             learned.append(fit_rig(tables))
         choices = []
         for model in learned:
-            raw = to_artifact(model, corpus).data
+            raw = to_artifact(model, _digest(tables)).data
             data = squeeze(raw)
-            choices.append((b"\1" + varint(len(raw)) + varint(len(data)) + data, [encode_table(model, t, compiled) for t in tables]))
+            stored = bytes([_LEARNED]) + varint(len(raw)) + varint(len(data)) + data
+            choices.append((stored, [encode_table(model, t, compiled) for t in tables]))
         return min(choices, key=lambda c: len(c[0]) + sum(map(len, c[1])))
-
-    def _known(self, table: NumberTable) -> Artifact | None:
-        at_hand = [self.artifact] if self.artifact is not None else []
-        shipped = [a for a in map(load_artifact, shipped_models()) if a.spec.get("codec") == CODEC]
-        for artifact in at_hand + shipped:
-            if from_artifact(artifact).fits(table.columns, table.decimals):
-                return artifact
-        return None
 
     def decode(self, shared: bytes, payload: Callable[[int], bytes], which: Sequence[int]) -> list[NumberTable]:
         models = self._models(shared)
@@ -92,11 +82,13 @@ class Exact(AbstractNumberCodec):
         reader = ByteReader(shared)
         models = []
         for _ in range(reader.varint()):
-            if reader.byte():
+            if reader.byte() == _LEARNED:
                 size = reader.varint()
                 artifact = parse_artifact(expand(reader.take(reader.varint()), size), "the archive's rig model")
+            elif self.artifact is not None:
+                artifact = self.artifact
             else:
-                artifact = find_artifact(reader.take(_DIGEST_BYTES), self.artifact)
+                raise CorruptStream("the tables need the archive's model, and it has none")
             models.append(from_artifact(artifact))
         return models
 

@@ -107,6 +107,13 @@ def symbols_and_classes(model: LaneModel, values: Int32[np.ndarray, "frames lane
     return _symbols(residual, classes)[0], classes
 
 
+def code_lengths(model: LaneModel, values: Int32[np.ndarray, "frames lanes"]) -> np.ndarray:
+    """Bits that every value costs (frames, lanes)."""
+    residual, classes = residuals(model, values, True)
+    symbols, _, count = _symbols(residual, classes)
+    return count - np.log2(model.frequencies[classes, symbols] / rans.TOTAL)
+
+
 def magnitude_bounds(scale_class: int) -> np.ndarray:
     """Where the symbols of a class begin, the escape's included, as magnitudes half a unit down."""
     begins = np.append(_BASES[:_ESCAPE], _BASES[_ESCAPE - 1] + (1 << _EXTRA[_ESCAPE - 1]))

@@ -9,19 +9,10 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float, Int32
 
-from .laws import (
-    COEFFICIENT_BITS,
-    TERM_BITS,
-    AbstractLaw,
-    Aimed,
-    Angles,
-    Constrained,
-    Joint,
-    Polynomial,
-    monomials,
-    residuals,
-    wrapped,
-)
+from .bends import Bent, bend_terms, bones
+from .law import AbstractLaw, Angles, Joint
+from .laws import Aimed, Constrained, residuals, wrapped
+from .polynomials import COEFFICIENT_BITS, TERM_BITS, Polynomial, monomials
 from .trigonometry import sine_cosine
 
 Table = Int32[np.ndarray, "frames columns"]

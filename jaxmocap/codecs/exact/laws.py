@@ -6,8 +6,6 @@ of them. A joint that aims where another one points has all three. What a law pr
 
 from __future__ import annotations
 
-import abc
-import functools
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -15,46 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float, Int32, Int64
 
-from .trigonometry import arc_tangent, sine_cosine
+from .bends import Bent
+from .law import AbstractLaw, Angles, Joint, Rows, dot, joint_of, listed, rows, turned
+from .polynomials import Polynomial
+from .trigonometry import arc_tangent
 
-TERM_BITS, COEFFICIENT_BITS = 20, 4
-_REACH = 1.5
-Angles = Float[np.ndarray, " frames"]
 Integers = Int64[np.ndarray, " frames"]
-Rows = list[Angles]  # a vector a frame, by component: (x, y, z)
-
-
-@dataclass(frozen=True)
-class Joint:
-    """Three rotation columns, in the order of the file: R = R0 R1 R2 about the axes `axes` (0 x, 1 y, 2 z)."""
-
-    columns: tuple[int, int, int]
-    axes: tuple[int, int, int]
-
-
-class AbstractLaw(abc.ABC):
-    """Gives `targets` from `inputs` (columns of the table)."""
-
-    targets: tuple[int, ...]
-    inputs: tuple[int, ...]
-    smooth: bool = False  # what it leaves moves on like a column, instead of being mere rounding
-
-    @property
-    @abc.abstractmethod
-    def numbers(self) -> tuple[float, ...]:
-        """The real parameters."""
-
-    @abc.abstractmethod
-    def with_numbers(self, numbers: Sequence[float]) -> AbstractLaw:
-        """The same law with other real parameters."""
-
-    @abc.abstractmethod
-    def spec(self) -> dict[str, object]:
-        """All else, for JSON."""
-
-    @abc.abstractmethod
-    def predict(self, angles: Float[np.ndarray, "columns frames"]) -> list[Angles]:
-        """The targets' values, unrounded, from the rows of `inputs`; all in 1e-4 degrees."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +46,7 @@ class Constrained(AbstractLaw):
         return (*self.u, *self.v, self.g)
 
     def spec(self) -> dict[str, object]:
-        return {"joint": _listed(self.joint), "unknown": self.unknown, "known": list(self.known), "branch": self.branch}
+        return {"joint": listed(self.joint), "unknown": self.unknown, "known": list(self.known), "branch": self.branch}
 
     def with_numbers(self, numbers: Sequence[float]) -> Constrained:
         u, v, (g,) = _parts(numbers, 3, 3, 1)
@@ -90,13 +54,13 @@ class Constrained(AbstractLaw):
 
     def predict(self, angles: Float[np.ndarray, "columns frames"]) -> list[Angles]:
         frames = angles.shape[1]
-        left, right = _rows(self.u, frames), _rows(self.v, frames)
+        left, right = rows(self.u, frames), rows(self.v, frames)
         for k in range(self.unknown):
             if k in self.known:
-                left = _turned(left, self.joint.axes[k], -angles[self.joint.columns[k]])
+                left = turned(left, self.joint.axes[k], -angles[self.joint.columns[k]])
         for k in range(2, self.unknown, -1):
             if k in self.known:
-                right = _turned(right, self.joint.axes[k], angles[self.joint.columns[k]])
+                right = turned(right, self.joint.axes[k], angles[self.joint.columns[k]])
         return [_solved(left, right, self.joint.axes[self.unknown], self.g, self.branch)]
 
 
@@ -130,7 +94,7 @@ class Aimed(AbstractLaw):
         return (*self.d, *self.k, *self.u, *self.v, self.g)
 
     def spec(self) -> dict[str, object]:
-        return {"joint": _listed(self.joint), "source": _listed(self.source), "other": self.other, "branch": self.branch}
+        return {"joint": listed(self.joint), "source": listed(self.source), "other": self.other, "branch": self.branch}
 
     def with_numbers(self, numbers: Sequence[float]) -> Aimed:
         d, k, u, v, (g,) = _parts(numbers, 3, 3, 3, 3, 1)
@@ -139,72 +103,17 @@ class Aimed(AbstractLaw):
     def predict(self, angles: Float[np.ndarray, "columns frames"]) -> list[Angles]:
         """R = Q T: T turns d onto the first axis and then by an angle about it, Q turns the first axis onto the aim."""
         frames = angles.shape[1]
-        aim = _rows(self.k, frames)
+        aim = rows(self.k, frames)
         for axis, column in zip(self.source.axes[::-1], self.source.columns[::-1], strict=True):
-            aim = _turned(aim, axis, angles[column])
+            aim = turned(aim, axis, angles[column])
         basis = _frame_of(aim)
-        own = _frame_of(_rows(self.d, frames))
-        left = [_dot(_rows(self.u, frames), b) for b in basis]
-        right = [_dot(_rows(self.v, frames), b) for b in own]
+        own = _frame_of(rows(self.d, frames))
+        left = [dot(rows(self.u, frames), b) for b in basis]
+        right = [dot(rows(self.v, frames), b) for b in own]
         turn = _solved(left, right, 0, self.g, self.branch)
-        columns = [_turned([row[n] for row in own], 0, turn) for n in range(3)]  # of T: its image of each unit vector
-        matrix = [[_dot([b[r] for b in basis], columns[c]) for c in range(3)] for r in range(3)]
+        columns = [turned([row[n] for row in own], 0, turn) for n in range(3)]  # of T: its image of each unit vector
+        matrix = [[dot([b[r] for b in basis], columns[c]) for c in range(3)] for r in range(3)]
         return [angle for n, angle in enumerate(euler(matrix, self.joint.axes)) if n != self.other]
-
-
-@dataclass(frozen=True, eq=False)
-class Polynomial(AbstractLaw):
-    """Targets near a polynomial of other angles, for what has no closed form.
-
-    All sums are of whole numbers that doubles hold exactly, so that their order does not matter. `scales`: the angle (1e-4
-    degrees) that becomes 1; `coefficients[term, target]` in 2^-COEFFICIENT_BITS of 1e-4 degrees, for the terms of `monomials`.
-    """
-
-    targets: tuple[int, ...]
-    inputs: tuple[int, ...]
-    scales: tuple[int, ...]
-    degree: int
-    coefficients: Float[np.ndarray, "terms targets"]
-    smooth: bool = True
-
-    @property
-    def numbers(self) -> tuple[float, ...]:
-        return tuple(self.coefficients.ravel().tolist())
-
-    def with_numbers(self, numbers: Sequence[float]) -> Polynomial:
-        return replace(self, coefficients=np.array(numbers).reshape(-1, len(self.targets)))
-
-    def spec(self) -> dict[str, object]:
-        return {"targets": self.targets, "inputs": self.inputs, "scales": self.scales, "degree": self.degree}
-
-    def predict(self, angles: Float[np.ndarray, "columns frames"]) -> list[Angles]:
-        terms = monomials(angles[list(self.inputs)], self.scales, self.degree)
-        return list(self.coefficients.T @ terms / (1 << TERM_BITS + COEFFICIENT_BITS))
-
-
-@functools.cache
-def _recipe(variables: int, degree: int) -> tuple[tuple[int, int], ...]:
-    """Every monomial up to the degree but 1, by degree: the variable and the earlier monomial that it is the product of."""
-    every = itertools.product(range(degree + 1), repeat=variables)
-    ordered = sorted((e for e in every if sum(e) <= degree), key=lambda e: (sum(e), e))
-    place = {e: n for n, e in enumerate(ordered)}
-    recipe = []
-    for e in ordered[1:]:
-        i = next(k for k, power in enumerate(e) if power)
-        recipe.append((i, place[*e[:i], e[i] - 1, *e[i + 1 :]]))
-    return tuple(recipe)
-
-
-def monomials(angles: Float[np.ndarray, "inputs frames"], scales: Sequence[int], degree: int) -> Float[np.ndarray, "terms frames"]:
-    """Whole numbers of 2^-TERM_BITS; an angle beyond _REACH scales counts as that."""
-    one = float(1 << TERM_BITS)
-    units = np.clip(angles / np.array(scales, np.float64)[:, None], -_REACH, _REACH)
-    recipe = _recipe(len(scales), degree)
-    terms = np.empty((1 + len(recipe), angles.shape[1]))
-    terms[0] = one
-    for n, (i, lower) in enumerate(recipe, 1):
-        np.rint(np.multiply(terms[lower], units[i], out=terms[n]), out=terms[n])
-    return terms
 
 
 def residuals(law: AbstractLaw, table: Int32[np.ndarray, "frames columns"], decimals: int) -> list[Integers]:
@@ -242,22 +151,16 @@ def law_from_spec(spec: dict, numbers: Sequence[float]) -> AbstractLaw:
     if spec["law"] == "polynomial":
         shape = tuple(spec["targets"]), tuple(spec["inputs"]), tuple(spec["scales"]), spec["degree"]
         return Polynomial(*shape, np.array(numbers).reshape(-1, len(spec["targets"])))
+    if spec["law"] == "bent":
+        first, second, third = map(joint_of, spec["joints"])
+        return Bent((first, second, third), spec["degree"], np.array(numbers).reshape(3, -1))
     zero = (0.0, 0.0, 0.0)
-    joint = _joint(spec["joint"])
+    joint = joint_of(spec["joint"])
     if spec["law"] == "constrained":
         bare = Constrained(joint, spec["unknown"], tuple(spec["known"]), zero, zero, 0.0, spec["branch"])
     else:
-        bare = Aimed(joint, _joint(spec["source"]), spec["other"], zero, zero, zero, zero, 0.0, spec["branch"])
+        bare = Aimed(joint, joint_of(spec["source"]), spec["other"], zero, zero, zero, zero, 0.0, spec["branch"])
     return bare.with_numbers(numbers)
-
-
-def _listed(joint: Joint) -> list[list[int]]:
-    return [list(joint.columns), list(joint.axes)]
-
-
-def _joint(listed: list[list[int]]) -> Joint:
-    (a, b, c), (i, j, k) = listed
-    return Joint((a, b, c), (i, j, k))
 
 
 def euler(matrix: list[list[Angles]], axes: tuple[int, int, int]) -> list[Angles]:
@@ -276,23 +179,6 @@ def _parts(numbers: Sequence[float], *sizes: int) -> Iterator[tuple[float, ...]]
     return (tuple(itertools.islice(rest, size)) for size in sizes)
 
 
-def _rows(vector: tuple[float, ...], frames: int) -> Rows:
-    return [np.full(frames, x) for x in vector]
-
-
-def _dot(a: Rows, b: Rows) -> Angles:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-def _turned(vector: Rows, axis: int, angle: Angles) -> Rows:
-    """Vectors turned about a coordinate axis."""
-    sine, cosine = sine_cosine(angle)
-    j, k = (axis + 1) % 3, (axis + 2) % 3
-    out = list(vector)
-    out[j], out[k] = cosine * vector[j] - sine * vector[k], sine * vector[j] + cosine * vector[k]
-    return out
-
-
 def _solved(left: Rows, right: Rows, axis: int, g: float, branch: int) -> Angles:
     """The angle t about the axis with left^T R(t) right = g; where none reaches g, the one that comes nearest."""
     j, k = (axis + 1) % 3, (axis + 2) % 3
@@ -309,7 +195,7 @@ def _solved(left: Rows, right: Rows, axis: int, g: float, branch: int) -> Angles
 
 def _frame_of(x: Rows) -> list[Rows]:
     """Three orthonormal vectors, the first along x; the others by the coordinate axis that x is farthest from (Duff 2017)."""
-    length = np.sqrt(_dot(x, x))
+    length = np.sqrt(dot(x, x))
     x = [c / length for c in x]
     sign = np.where(x[2] >= 0, 1.0, -1.0)
     a = -1.0 / (sign + x[2])

@@ -23,12 +23,21 @@ def plain_rig(tables: Sequence[NumberTable]) -> RigModel:
     return _rig(tables, (), learn=False)
 
 
-def fit_rig(tables: Sequence[NumberTable], header: bytes = b"") -> RigModel:
-    """All that can be learned. Laws are looked for where angles are degrees of a known order."""
+def fit_rig(tables: Sequence[NumberTable]) -> RigModel:
+    """All that can be learned."""
+    return learned_rig(tables, fit_laws(tables))
+
+
+def fit_laws(tables: Sequence[NumberTable]) -> tuple[AbstractLaw, ...]:
+    """The laws of the rig, in an order in which all their inputs are known."""
     columns, decimals = tables[0].columns, tables[0].decimals
     bodies = [(t.integers[1:].astype(np.int64) * 10**DECIMALS // 10**decimals).astype(np.int32) for t in tables]
     geometry = fit_geometry(np.concatenate(bodies), columns)
-    laws = tuple(causal([*geometry, *fit_polynomials(bodies, columns, geometry)]))
+    return tuple(causal([*geometry, *fit_polynomials(bodies, columns, geometry)]))
+
+
+def learned_rig(tables: Sequence[NumberTable], laws: tuple[AbstractLaw, ...], header: bytes = b"") -> RigModel:
+    """The model of a rig whose laws are known; `header` is text that its files share."""
     return _rig(tables, laws, learn=True, header=header)
 
 
