@@ -22,6 +22,7 @@ def run(arguments: list[str]) -> int:
     command = parse(arguments)
     try:
         report = command.run()
+        print(json.dumps(report) if command.json else command.text(report), flush=True)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
@@ -35,7 +36,6 @@ def run(arguments: list[str]) -> int:
         traceback.print_exc()
         print("jaxmocap: this is a bug; please report it with the lines above", file=sys.stderr)
         return 1
-    print(json.dumps(report) if command.json else command.text(report))
     return 0
 
 

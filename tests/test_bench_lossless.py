@@ -138,7 +138,7 @@ def test_report(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cap
     assert len(list(tmp_path.glob("lossless_*.png"))) == 5
     said = lossless_report.text(result)
     for database in result["databases"].values():
-        assert all(row["name"] in said for row in database["rows"] + database["learned"])
+        assert all(row["name"] in said for row in [*database["rows"], database["held_out"]])
         kinds = [(row["name"], row["kind"]) for row in database["rows"]]
         assert len(set(kinds)) == len(kinds) and {("exact", "files"), ("mrpa", "files"), ("app", "files")} <= set(kinds)
     assert result["databases"]["run"]["published"]["MRPA"][0] == 4.01 and "L3C 5.17" in said

@@ -1,4 +1,4 @@
-"""The quickstart runs from top to bottom in a real kernel, with the CMU clips and without, and is committed as it ran."""
+"""Every notebook runs from top to bottom in a real kernel, with the CMU clips and without, and is committed as it ran."""
 
 import os
 import warnings
@@ -8,10 +8,13 @@ import nbformat
 import pytest
 from nbclient import NotebookClient
 
-NOTEBOOK = Path(__file__).resolve().parents[1] / "notebooks" / "01_quickstart.ipynb"
-PICTURES = 6
+FOLDER = Path(__file__).resolve().parents[1] / "notebooks"
+PICTURES = {"01_quickstart": 6, "02_recurring_patterns": 6}
 
-pytestmark = pytest.mark.skipif(not NOTEBOOK.is_file(), reason=f"no {NOTEBOOK}: notebooks are only in the checkout")
+pytestmark = [
+    pytest.mark.skipif(not FOLDER.is_dir(), reason=f"no {FOLDER}: notebooks are only in the checkout"),
+    pytest.mark.parametrize("name", PICTURES),
+]
 
 
 def pictures(notebook: nbformat.NotebookNode) -> int:
@@ -20,13 +23,13 @@ def pictures(notebook: nbformat.NotebookNode) -> int:
     return sum("image/png" in o.get("data", {}) for o in outputs)
 
 
-def run(data: Path) -> nbformat.NotebookNode:
+def run(name: str, data: Path) -> nbformat.NotebookNode:
     """The notebook, executed in its own folder by a kernel that looks for motions in `data`."""
-    notebook = nbformat.read(NOTEBOOK, as_version=4)
+    notebook = nbformat.read(FOLDER / f"{name}.ipynb", as_version=4)
     for cell in notebook.cells:
         if cell.cell_type == "code":
             cell.outputs = []
-    client = NotebookClient(notebook, timeout=240, resources={"metadata": {"path": str(NOTEBOOK.parent)}})
+    client = NotebookClient(notebook, timeout=240, resources={"metadata": {"path": str(FOLDER)}})
     with warnings.catch_warnings():
         # Sockets and event loops are the client's; what the notebook warns of is in the kernel, beyond this filter.
         warnings.filterwarnings("ignore", category=DeprecationWarning, module=r"(zmq|tornado|jupyter_client|nbclient)\b")
@@ -34,17 +37,18 @@ def run(data: Path) -> nbformat.NotebookNode:
     return notebook
 
 
-def test_the_committed_notebook_has_its_pictures():
-    notebook = nbformat.read(NOTEBOOK, as_version=4)
+def test_the_committed_notebook_has_its_pictures(name):
+    file = FOLDER / f"{name}.ipynb"
+    notebook = nbformat.read(file, as_version=4)
     nbformat.validate(notebook)
-    assert pictures(notebook) == PICTURES
+    assert pictures(notebook) == PICTURES[name]
     assert all(cell.execution_count for cell in notebook.cells if cell.cell_type == "code")
-    assert NOTEBOOK.stat().st_size < 900_000
+    assert file.stat().st_size < 900_000
 
 
-def test_it_runs_without_data(tmp_path):
-    assert pictures(run(tmp_path)) == PICTURES
+def test_it_runs_without_data(name, tmp_path):
+    assert pictures(run(name, tmp_path)) == PICTURES[name]
 
 
-def test_it_runs_on_cmu_clips(data_dir):
-    assert pictures(run(data_dir.resolve())) == PICTURES
+def test_it_runs_on_cmu_clips(name, data_dir):
+    assert pictures(run(name, data_dir.resolve())) == PICTURES[name]

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import numpy as np
 
 from ..codecs.archive import read_archive
-from ..codecs.artifact import Artifact
+from ..codecs.container import DIGEST_BYTES
 from ..codecs.database import Database
-from ..codecs.exact.codec import Exact
-from ..codecs.exact.model import to_artifact
-from ..codecs.exact.rig_fit import fit_rig
 from ..codecs.lossless import AbstractNumberCodec, NumberTable
 from ..codecs.mrpa import Mrpa, Patterns, SomSegmentation, analyse
 from ..codecs.packing import pack
-from ..codecs.squeeze import squeeze
+from ..training.corpus import Corpus
+from ..training.exact import train_exact
 from .lossless_folder import Folder, timed
 from .lossless_peers import NUMBERS, TEXT, Matrix, NumberPeer, TextPeer
 
@@ -105,17 +105,17 @@ def with_rest(folder: Folder, numbers: dict, rest: int) -> dict:
     return row(folder, numbers["name"], "files", numbers["bytes"] + rest)
 
 
-def rig_model(tables: Sequence[NumberTable]) -> Artifact:
-    """What `exact` learns from tables of one rig."""
-    return to_artifact(fit_rig(tables), "bench")
-
-
-def learned_row(folder: Folder, name: str, learned_from: Sequence[NumberTable], rest: int) -> dict:
-    """The database by `exact` with a model learned from some tables: as if it were shipped, and with it inside."""
-    model = rig_model(learned_from)
-    made = with_rest(folder, codec_row(folder, name, Exact(model), runs=1), rest)
-    size = len(squeeze(model.data))
-    return {**made, "model_bytes": size, "ratio_with_model": folder.text_bytes / (made["bytes"] + size)}
+def held_out_row(folder: Folder, name: str, learned_from: Sequence[Path]) -> dict:
+    """The database by `exact` with a model of other files: as if that were shipped, and with it inside."""
+    with tempfile.TemporaryDirectory() as scratch:
+        model, _ = train_exact(Corpus(tuple(learned_from)), Path(scratch, "partial"))
+    archive = read_archive(pack(folder.files, "exact", model).data)
+    inside = len(archive.shared.model)
+    return {
+        **row(folder, name, "files", len(archive.data) - inside + DIGEST_BYTES),
+        "model_bytes": inside,
+        "ratio_with_model": folder.text_bytes / len(archive.data),
+    }
 
 
 def one_of_many(folder: Folder, name: str, codec: str) -> dict:

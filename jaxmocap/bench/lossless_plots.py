@@ -39,7 +39,7 @@ def ratios(result: dict) -> Figure:
     databases = result["databases"]
     figure = Figure(figsize=(6 * len(databases), 6), layout="constrained")
     for axes, (name, found) in zip(figure.subplots(1, len(databases), squeeze=False)[0], databases.items(), strict=True):
-        rows = [r for r in found["rows"] if "ratio" in r] + found["learned"]
+        rows = [r for r in found["rows"] if "ratio" in r] + [found["held_out"]]
         bars = [(f"{r['name']} ({r['kind']})", r["ratio"], COLOURS[r["kind"]]) for r in rows]
         bars += [(f"{k}, published", v[0], "C7") for k, v in found["published"].items()]
         bars.sort(key=lambda bar: bar[1])

@@ -28,7 +28,7 @@ def make(config: dict, artifact: Artifact | None = None) -> AbstractCodec:
     settings = dict(config)
     name = settings.pop("codec", DEFAULT)
     if name not in CODECS:
-        raise ValueError(f"codec is {name!r}, wanted one of {', '.join(CODECS)}")
+        raise ValueError(f"codec is {name!r}, wanted one of {', '.join(CODECS)}; lossless ones: jaxmocap pack")
     if isinstance(settings.get("target"), dict):
         settings["target"] = Target(**settings["target"])
     try:

@@ -15,6 +15,7 @@ from ..errors import CorruptStream, JaxmocapError, UnsupportedVersion
 from .bitstream import ByteReader, varint
 
 MAGIC = b"JMC"
+_DATABASE_MAGIC = b"JMD"
 VERSION = 1
 SUFFIX = ".jmc"
 DIGEST_BYTES = 4
@@ -105,7 +106,10 @@ def read_stream(data: bytes) -> Stream:
     Raises CorruptStream, TruncatedStream or UnsupportedVersion.
     """
     reader = ByteReader(data)
-    if reader.take(len(MAGIC)) != MAGIC:
+    magic = reader.take(len(MAGIC))
+    if magic == _DATABASE_MAGIC:
+        raise CorruptStream("this is a motion database, not a stream: take files out of it with jaxmocap unpack")
+    if magic != MAGIC:
         raise CorruptStream("this is no jaxmocap stream: it does not begin with 'JMC'")
     try:
         stream = _read_checked(reader)

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..codecs.artifact import Artifact
 from ..codecs.quantise import PER_OCTAVE, STEPS, step_cm
+from ..errors import FormatError
 
 KINDS = ("safetensors", "npz", "c")
 
@@ -40,13 +41,15 @@ def export_model(artifact: Artifact, kind: str) -> bytes:
 
     "safetensors" is the model's own file. "npz" holds every tensor under its name, and `spec` (JSON) and `digest` as
     UTF-8. "c" is a header for C99 and C++ with every tensor, the rig and the quantiser's steps.
-    Raises ValueError for another kind.
+    Raises ValueError for another kind, and FormatError for a C header of a model without bases.
     """
     if kind == "safetensors":
         return artifact.data
     if kind == "npz":
         return _npz(artifact)
     if kind == "c":
+        if "rig" not in artifact.spec:
+            raise FormatError(f"a model of {artifact.spec.get('codec')} has no bases for a C header: take safetensors or npz")
         return _c_header(artifact).encode("ascii")
     raise ValueError(f"kind is {kind!r}, wanted one of {', '.join(KINDS)}")
 

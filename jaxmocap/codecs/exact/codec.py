@@ -7,23 +7,25 @@ by itself with the model alone: its payload holds the few things in which it dif
 from __future__ import annotations
 
 import hashlib
+import zlib
 from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from ...errors import CorruptStream
-from .tables import decode_table, encode_table
 from ..artifact import Artifact, parse_artifact
 from ..bitstream import ByteReader, varint
-from .rig_fit import fit_rig, plain_rig
-from .lanes import WORTH_COMPILING
-from .model import RigModel, from_artifact, to_artifact
 from ..lossless import AbstractNumberCodec, NumberTable
 from ..squeeze import expand, squeeze
+from .fit import SHORTEST
+from .lanes import WORTH_COMPILING
+from .model import RigModel, from_artifact, to_artifact
+from .rig_fit import fit_rig, plain_rig
+from .tables import decode_table, encode_table
 
 _GIVEN, _LEARNED = 0, 1  # the model is the artifact, or stored
 _WORTH_COMPILING_BYTES = 80 * WORTH_COMPILING  # a frame of a figure is about so large
-_LEARNING_FRAMES = 1500  # tables with fewer frames do not pay for a model of their own
+_LEARNING_FRAMES = 1500  # tables that teach fewer frames do not pay for a model of their own
 
 
 class Exact(AbstractNumberCodec):
@@ -51,17 +53,18 @@ class Exact(AbstractNumberCodec):
     def _encode_rig(self, tables: list[NumberTable]) -> tuple[bytes, list[bytes]]:
         """The artifact's model where it fits, or else the cheapest of those that can be learned."""
         frames = sum(len(t.integers) for t in tables)
+        teaching = sum(len(t.integers) for t in tables if len(t.integers) >= SHORTEST)
         compiled = frames >= WORTH_COMPILING
         if self.artifact is not None and (model := from_artifact(self.artifact)).fits(tables[0].columns, tables[0].decimals):
             return bytes([_GIVEN]), [encode_table(model, t, compiled) for t in tables]
         learned = [plain_rig(tables)]
-        if frames >= _LEARNING_FRAMES:
+        if teaching >= _LEARNING_FRAMES:
             learned.append(fit_rig(tables))
         choices = []
         for model in learned:
             raw = to_artifact(model, _digest(tables)).data
-            data = squeeze(raw)
-            stored = bytes([_LEARNED]) + varint(len(raw)) + varint(len(data)) + data
+            data = varint(len(raw)) + squeeze(raw)
+            stored = bytes([_LEARNED]) + varint(len(data)) + data + _checksum(data)
             choices.append((stored, [encode_table(model, t, compiled) for t in tables]))
         return min(choices, key=lambda c: len(c[0]) + sum(map(len, c[1])))
 
@@ -83,14 +86,23 @@ class Exact(AbstractNumberCodec):
         models = []
         for _ in range(reader.varint()):
             if reader.byte() == _LEARNED:
-                size = reader.varint()
-                artifact = parse_artifact(expand(reader.take(reader.varint()), size), "the archive's rig model")
+                data = ByteReader(reader.take(reader.varint()))
+                if reader.take(4) != _checksum(data.data):
+                    raise CorruptStream("a rig model of the archive does not match its checksum")
+                size = data.varint()
+                artifact = parse_artifact(expand(data.take(data.left), size), "the archive's rig model")
             elif self.artifact is not None:
                 artifact = self.artifact
             else:
                 raise CorruptStream("the tables need the archive's model, and it has none")
             models.append(from_artifact(artifact))
+        if reader.left:
+            raise CorruptStream(f"{reader.left} bytes follow the last rig model")
         return models
+
+
+def _checksum(data: bytes) -> bytes:
+    return zlib.crc32(data).to_bytes(4, "little")
 
 
 def _digest(tables: Sequence[NumberTable]) -> str:

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float, Int32
 
-from . import lanes, wave
 from ..entropy.lanes import TOTAL
+from . import lanes, wave
 from .lanes import SYMBOLS
 from .wave import CLASSES, FEATURES, FRACTION, LOG_FLOOR, PER_OCTAVE, RATES, SCALE_BITS, WEIGHT_BITS, LaneModel
 
@@ -17,14 +17,15 @@ Values = Int32[np.ndarray, "frames lanes"]
 _RIDGE = 1e-4
 _HUBER = 3.0  # residuals beyond so many scales count less
 _WEIGHT_LIMIT = 1 << 13  # of the sum of a lane's prediction weights: driving values times it stay in 32 bits
+SHORTEST = 12  # frames of a file that teaches
 _SETTLED = 8  # frames before a file's averages mean something
 
 
 def fit_lanes(files: Sequence[Values], moving: int) -> LaneModel:
-    """The model of lanes whose first `moving` ones extrapolate; every file of 12 frames or more teaches."""
-    files = [f for f in files if len(f) >= 12]
+    """The model of lanes whose first `moving` ones extrapolate; every file of SHORTEST frames or more teaches."""
     model = untrained(files[0].shape[1], moving)
-    if not files:
+    files = [f for f in files if len(f) >= SHORTEST]
+    if not files or not model.count:
         return model
     model = replace(model, start=_starts(files, moving))
     model = replace(model, weights=_prediction_weights(model, files))
@@ -110,13 +111,14 @@ def _own_logarithms(start: np.ndarray, residual: Values) -> tuple[np.ndarray, np
     log = wave.magnitude_logarithm(np, np.abs(residual))
     target = np.minimum(np.abs(residual), wave.MAGNITUDE_CLIP) << FRACTION
     averages = np.empty((len(residual), len(RATES), residual.shape[1]), np.int32)
-    state = np.tile(np.rint(2.0 ** (start / PER_OCTAVE)).astype(np.int32), (len(RATES), 1))
+    state = np.tile(wave.power(start), (len(RATES), 1))
     for n in range(len(residual)):
         averages[n] = state
         if n >= 2:
             state = state + (target[n] - state >> np.array(RATES, np.int32)[:, None])
     last = [np.concatenate([np.tile(start, (2 + lag, 1)), log[2:-lag]]) for lag in (1, 2)]
-    return wave.logarithm(np, averages.transpose(1, 0, 2) + (1 << FRACTION - 5)), np.stack(last), log
+    averaged = wave.logarithm(np, averages.transpose(1, 0, 2) + (1 << FRACTION - 5))
+    return np.asarray(averaged), np.stack(last), np.asarray(log)
 
 
 def _solve(gram: Float[np.ndarray, "n n"], aim: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:

@@ -227,10 +227,12 @@ def _read_plainly(model: LaneModel, states, words, bits, frames: int, steps: int
     spare = np.zeros(model.count + 2, np.uint32)
     cumulative = _cumulative(model).astype(np.uint32)
     streams = Streams(cumulative, np.concatenate([words, spare]), np.concatenate([bits, spare]))
-    state = Reading(waves.begin(np, model, _BLOCK), rans.Decoding(states, np.int32(0)), np.int32(0))
+    state = Reading(waves.begin(np, model, _BLOCK), rans.Decoding(states, np.array(0, np.int32)), np.array(0, np.int32))
     rows = np.empty((steps, model.count), np.int32)
     for n in range(steps):
         if n and n % _BLOCK == 0:
+            if state.coder.at > len(words):
+                raise CorruptStream("the lanes of a payload want more words than there are")
             state = state._replace(wave=waves.turned(np, state.wave, _BLOCK))
         state, rows[n] = _read_step(np, tables, streams, np.int32(frames), state, np.int32(n))
     return rows, state.coder, state.bit
@@ -252,7 +254,7 @@ def _read_compiled(model: LaneModel, states, words, bits, frames: int, steps: in
         state, block = _read_block(tables, streams, jnp.int32(frames), state, jnp.int32(n))
         word, bit = word + int(state.coder.at), (bit & ~31) + int(state.bit)
         rows.append(np.asarray(block))
-    coder = rans.Decoding(np.asarray(state.coder.states), np.int32(word))
+    coder = rans.Decoding(np.asarray(state.coder.states), np.array(word))
     return np.concatenate(rows), coder, bit
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float, Int32
 
-from .bends import Bent, bend_terms, bones
+from .bends import Bent, bend_terms, bone, bones
 from .law import AbstractLaw, Angles, Joint
 from .laws import Aimed, Constrained, residuals, wrapped
 from .polynomials import COEFFICIENT_BITS, TERM_BITS, Polynomial, monomials
@@ -23,6 +23,10 @@ _REWEIGHTINGS = 10
 _PARTS = 12
 _DEGREE = 4
 _ANCHOR = 1e-4  # how much a polynomial's values count beside its changes
+_BENT_DEGREE, _BENT_SAMPLES = 5, 12000
+_RADIAN = 1.7453292519943296e-6  # of 1e-4 degrees
+_BENT_SPREADS = tuple(np.repeat([3000.0, 300.0, 30.0, 3.0, 1.0], 4) * _RADIAN)
+_OFF = 20 * _RADIAN
 _WORTHWHILE = 6.0  # bits a frame
 _MOST, _SOME = 0.9, 0.2  # of the frames keep a law
 _POLISHINGS = 4
@@ -136,21 +140,22 @@ def _aimed_laws(table: Table, matrices: dict[Joint, np.ndarray], best: dict[Join
     return list(aimed.values())
 
 
-def fit_polynomials(bodies: Sequence[Table], columns: Sequence[str], taken: Sequence[AbstractLaw]) -> list[AbstractLaw]:
+def fit_chains(bodies: Sequence[Table], columns: Sequence[str], taken: Sequence[AbstractLaw]) -> list[AbstractLaw]:
     """Chains of three joints of which one nearly follows from the two others, as spines solved from few markers do."""
     targets = {t for law in taken for t in law.targets}
     every = joints(columns)
     pairs = [_neighbours(body) for body in bodies if len(body) > 2]
-    now, after = (np.concatenate([p[n] for p in pairs]).astype(np.float64) for n in (0, 1))
+    now, after = (np.concatenate([p[n] for p in pairs]) for n in (0, 1))
     laws: list[AbstractLaw] = []
     for chain in zip(every, every[1:], every[2:], strict=False):
         free = [j for j in chain if not targets & set(j.columns) and (now[:, j.columns] != now[0, j.columns]).any(0).all()]
         if len(free) < 3:
             continue
-        found = [_polynomial(now, after, j, [o for o in chain if o is not j]) for j in chain]
-        gain, law = max(found, key=lambda f: f[0])
-        if gain > _WORTHWHILE:
-            laws.append(law)
+        found = _chain_laws(now, after, chain)
+        gains = [sum(_saving(now, after, law) for law in laws) for laws in found]
+        best = int(np.argmax(gains))
+        if gains[best] > _WORTHWHILE:
+            laws += found[best]
             targets |= {c for j in chain for c in j.columns}
     return laws
 
@@ -160,16 +165,33 @@ def _neighbours(body: Table) -> tuple[Table, Table]:
     return body[at], body[at + 1]
 
 
-def _polynomial(now: np.ndarray, after: np.ndarray, joint: Joint, others: list[Joint]) -> tuple[float, Polynomial]:
-    """The law that leaves least from one frame to the next, and the bits a frame that it saves."""
-    inputs = tuple(c for o in others for c in o.columns)
+def _chain_laws(now: Table, after: Table, chain: tuple[Joint, Joint, Joint]) -> list[list[AbstractLaw]]:
+    """What may be known of a chain: any of its joints nearly, or the last one, where that bends as the others do."""
+    near = [[_polynomial(now, after, j.columns, _columns(o for o in chain if o is not j))] for j in chain]
+    middle = _polynomial(now, after, chain[2].columns[1:2], _columns(chain[:2]))
+    return [*near, *([middle, law] for law in _bent(now, chain))]
+
+
+def _columns(of: Iterable[Joint]) -> tuple[int, ...]:
+    return tuple(c for joint in of for c in joint.columns)
+
+
+def _saving(now: Table, after: Table, law: AbstractLaw) -> float:
+    """Bits a frame: how much less than its targets changes from one frame to the next what the law leaves of them."""
+    change = wrapped((after.astype(np.int64) - now)[:, law.targets], DECIMALS).T
+    left = [np.stack(residuals(law, x, DECIMALS)) for x in (now, after)]
+    return _bits(change) - _bits(wrapped(left[1] - left[0], DECIMALS))
+
+
+def _polynomial(now: Table, after: Table, targets: tuple[int, ...], inputs: tuple[int, ...]) -> Polynomial:
+    """The law that leaves least from one frame to the next."""
     scales = tuple(int(s) for s in np.maximum(np.percentile(np.abs(now[:, inputs]), 99, axis=0), 1))
     one = float(1 << TERM_BITS)
     terms = monomials(now[:, inputs].T, scales, _DEGREE).T / one
     steps = monomials(after[:, inputs].T, scales, _DEGREE).T / one - terms
     solved = []
-    for c in joint.columns:
-        step = wrapped(after[:, c] - now[:, c], DECIMALS)
+    for c in targets:
+        step = wrapped(after[:, c].astype(np.int64) - now[:, c], DECIMALS)
         weights = np.ones(len(now))
         for _ in range(4):
             gram = (steps * weights[:, None]).T @ steps + _ANCHOR * terms.T @ terms
@@ -177,10 +199,53 @@ def _polynomial(now: np.ndarray, after: np.ndarray, joint: Joint, others: list[J
             found = np.linalg.solve(gram, (steps * weights[:, None]).T @ step + _ANCHOR * terms.T @ now[:, c])
             weights = 1 / np.maximum(np.abs(step - steps @ found), 1.0)
         solved.append(np.rint(found * (1 << COEFFICIENT_BITS)))
-    law = Polynomial(joint.columns, inputs, scales, _DEGREE, np.stack(solved, 1))
-    left = [np.stack(residuals(law, x.astype(np.int32), DECIMALS)) for x in (now, after)]
-    change = wrapped((after - now)[:, joint.columns], DECIMALS).T
-    return _bits(change) - _bits(wrapped(left[1] - left[0], DECIMALS)), law
+    return Polynomial(targets, inputs, scales, _DEGREE, np.stack(solved, 1))
+
+
+def _bent(table: Table, chain: tuple[Joint, Joint, Joint]) -> list[Bent]:
+    """Laws of one sheet and, where enough frames are off that, of two."""
+    angles = table[:: -(-len(table) // _BENT_SAMPLES)].T.astype(np.float64)
+    one = Bent(chain, _BENT_DEGREE, 0.0, _sheet(angles, chain)[None])
+    off = _miss(one, angles)[0] > _OFF
+    if off.sum() < one.coefficients.size:
+        return [one]
+    two = replace(one, coefficients=np.stack([one.coefficients[0], _sheet(angles[:, off], chain)]))
+    first, second = _miss(two, angles)
+    own = [_sheet(angles[:, nearer], chain) for nearer in (first < second, first >= second)]
+    return [one, *(_parted(replace(one, coefficients=np.stack(pair)), angles) for pair in (own, own[::-1]))]
+
+
+def _parted(law: Bent, angles: Float[np.ndarray, "columns frames"]) -> Bent:
+    """The law with the `least` bend that tells its two sheets apart best."""
+    first, second = _miss(law, angles)
+    bend = 1.0 - law.aims(angles)[0][law.joints[2].axes[1]]
+    order = np.argsort(bend)
+    gain = np.cumsum((np.log(first + _RADIAN) - np.log(second + _RADIAN))[order])
+    return replace(law, least=float(bend[order][np.argmax(gain)]))
+
+
+def _miss(law: Bent, angles: Float[np.ndarray, "columns frames"]) -> list[Angles]:
+    """How far each sheet points past the bone."""
+    true = bone(law.joints[2], angles)
+    return [np.sqrt(sum((a - b) ** 2 for a, b in zip(aim, true, strict=True))) for aim in law.aims(angles)]
+
+
+def _sheet(angles: Float[np.ndarray, "columns frames"], chain: tuple[Joint, Joint, Joint]) -> Float[np.ndarray, "3 terms"]:
+    """Least squares on where the third bone points; the longer, the less say have frames that bend otherwise."""
+    arms = bones(chain, angles)
+    terms = np.stack(bend_terms(arms, _BENT_DEGREE))
+    rows = np.concatenate([np.stack(arm) * terms[:, None] for arm in arms])  # coefficients, components, frames
+    scale = np.sqrt((rows**2).mean((1, 2))) + 1e-30
+    rows = (rows / scale[:, None, None]).transpose(2, 1, 0)
+    aims = np.stack(bone(chain[2], angles), 1)
+    weights, found = np.ones(len(rows)), np.zeros(len(scale))
+    for spread in _BENT_SPREADS:
+        weighted = (rows * weights[:, None, None]).reshape(-1, len(scale))
+        gram = weighted.T @ rows.reshape(-1, len(scale))
+        gram += 1e-13 * gram.trace() / len(gram) * np.eye(len(gram))
+        found = np.linalg.solve(gram, weighted.T @ aims.ravel())
+        weights = 1 / (((rows @ found - aims) ** 2).sum(1) + spread**2)
+    return np.rint((found / scale).reshape(3, -1) * 2.0**32) / 2.0**32
 
 
 def _null(rows: Float[np.ndarray, "frames equations n"]) -> tuple[np.ndarray, float]:
@@ -260,3 +325,6 @@ def causal(laws: Sequence[AbstractLaw]) -> Iterator[AbstractLaw]:
         waiting = [law for law in waiting if law not in ready]
         if not ready:
             raise ValueError("laws lean on each other in a circle")
+
+
+fit_polynomials = fit_chains

@@ -153,7 +153,7 @@ def law_from_spec(spec: dict, numbers: Sequence[float]) -> AbstractLaw:
         return Polynomial(*shape, np.array(numbers).reshape(-1, len(spec["targets"])))
     if spec["law"] == "bent":
         first, second, third = map(joint_of, spec["joints"])
-        return Bent((first, second, third), spec["degree"], np.array(numbers).reshape(3, -1))
+        return Bent((first, second, third), spec["degree"], 0.0, np.zeros((1, 3, 1))).with_numbers(numbers)
     zero = (0.0, 0.0, 0.0)
     joint = joint_of(spec["joint"])
     if spec["law"] == "constrained":

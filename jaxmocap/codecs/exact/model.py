@@ -10,17 +10,19 @@ from jaxtyping import Int32
 
 from ...errors import FormatError
 from ..artifact import Artifact, make_artifact
-from .wave import LaneModel
 from .laws import AbstractLaw, law_from_spec, law_spec
+from .wave import LaneModel
 
 CODEC = "exact"
 
 
 @dataclass(frozen=True, eq=False)
 class RigModel:
-    """`columns` and `decimals` say which tables it is for. `rest` is the row of the rest pose, which files may begin with;
-    columns that have no lane always have the value of `mean`; `moving` are the lanes that are extrapolated, and then come the
-    targets of the `laws` that leave mere rounding. The laws stand in an order in which all their inputs are known. `signs`: the usual modes of the zeros' signs. `header` is text that
+    """What a rig teaches; `columns` and `decimals` say which tables it is for.
+
+    `rest` is the row of the rest pose, which files may begin with. Columns that have no lane always have the value of `mean`.
+    `moving` are the columns whose lanes are extrapolated; then come the `targets` of laws that leave mere rounding. The `laws`
+    stand in an order in which all their inputs are known. `signs`: the usual modes of the zeros' signs. `header`: text that
     files of the rig share.
     """
 

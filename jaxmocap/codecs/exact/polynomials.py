@@ -59,7 +59,9 @@ def recipe(variables: int, degree: int) -> tuple[tuple[int, int], ...]:
     return tuple(steps)
 
 
-def monomials(angles: Float[np.ndarray, "inputs frames"], scales: Sequence[int], degree: int) -> Float[np.ndarray, "terms frames"]:
+def monomials(
+    angles: Float[np.ndarray, "inputs frames"], scales: Sequence[int], degree: int
+) -> Float[np.ndarray, "terms frames"]:
     """Whole numbers of 2^-TERM_BITS; an angle beyond _REACH scales counts as that."""
     one = float(1 << TERM_BITS)
     units = np.clip(angles / np.array(scales, np.float64)[:, None], -_REACH, _REACH)

@@ -99,4 +99,4 @@ def _from_runs(reader: ByteReader, count: int) -> Bool[np.ndarray, " zeros"]:
     lengths = [reader.varint() for _ in range(runs)]
     if sum(lengths) != count:
         raise CorruptStream(f"the runs of signs cover {sum(lengths)} zeros of {count}")
-    return np.repeat(np.arange(runs) % 2 == 1, lengths)
+    return np.repeat(np.arange(runs) % 2 == 1, np.array(lengths, np.int64))

@@ -13,11 +13,11 @@ from ..bitstream import ByteReader, varint
 from ..lossless import NumberTable
 from ..squeeze import expand, squeeze
 from . import lanes, signs
-from .laws import residuals, restored, wrapped
+from .laws import AbstractLaw, residuals, restored, wrapped
 from .model import RigModel
 
 Rows = Int32[np.ndarray, "frames columns"]
-_FRAMES_A_BYTE = 4096  # no frame costs less
+_FRAMES_A_BYTE = 4096  # of side information: where frames cost next to nothing, it is filled up
 _RESTS, _ODD = 1, 2
 
 
@@ -49,6 +49,7 @@ def encode_table(model: RigModel, table: NumberTable, compiled: bool) -> bytes:
         side += b"".join(map(_list_bytes, (odd.unwrapped, odd.lawless, odd.strays)))
         side += b"".join(_stray_bytes(body[:, c]) for c in odd.strays)
     side += signs.encode(table.integers == 0, table.negative_zeros, model.signs)
+    side = side.ljust(len(table.integers) // _FRAMES_A_BYTE, b"\0")
     coded, more = lanes.encode(model.lanes, values, side, compiled) if values.size else (b"", side)
     head = varint(len(table.integers) << 2 | any_odd * _ODD | rests * _RESTS)
     return head + varint(len(side)) + more + coded
@@ -58,14 +59,16 @@ def decode_table(model: RigModel, reader: ByteReader, compiled: bool) -> NumberT
     """What `encode_table` wrote. Raises CorruptStream or TruncatedStream."""
     head, length = reader.varint(), reader.varint()
     frames, rests = head >> 2, bool(head & _RESTS)
-    if frames > _FRAMES_A_BYTE * (reader.left + 1) or frames < rests:
-        raise CorruptStream(f"a payload of {reader.left} bytes cannot hold {frames} frames")
+    if frames // _FRAMES_A_BYTE > length or frames < rests:
+        raise CorruptStream(f"{length} bytes of side information do not go with {frames} frames")
     body_frames, count = frames - rests, model.lanes.count
     spare = min(length, 2 * count) if body_frames and count else 0
     more = reader.take(length - spare)
     values, begun = np.zeros((body_frames, count), np.int32), b""
     if values.size:
         values, begun = lanes.decode(model.lanes, reader, body_frames, spare, compiled)
+    if reader.left:
+        raise CorruptStream(f"{reader.left} bytes follow the last column of a payload")
     side = ByteReader(begun + more)
     first = _read_rest(model, side) if rests else None
     odd = Exceptions()
@@ -94,7 +97,9 @@ def to_lanes(model: RigModel, body: Rows, odd: Exceptions) -> Int32[np.ndarray, 
     return np.stack(out, 1).astype(np.int32) if out else np.zeros((len(body), 0), np.int32)
 
 
-def from_lanes(model: RigModel, values: Int32[np.ndarray, "frames lanes"], odd: Exceptions, strays: dict[int, np.ndarray]) -> Rows:
+def from_lanes(
+    model: RigModel, values: Int32[np.ndarray, "frames lanes"], odd: Exceptions, strays: dict[int, np.ndarray]
+) -> Rows:
     """The inverse of `to_lanes`."""
     lane = {c: values[:, n].astype(np.int64) for n, c in enumerate((*model.moving, *model.targets))}
     body = np.tile(model.mean, (len(values), 1))
@@ -136,22 +141,23 @@ def _exceptions(model: RigModel, body: Rows) -> Exceptions:
     odd = Exceptions()
     if not len(body):
         return odd
-    constant = list(model.constant)
-    odd.strays = [c for c in constant if (body[:, c] != model.mean[c]).any()]
-    for c in model.moving:
-        if model.turns(c) and (wrapped(body[:, c].astype(np.int64), model.decimals) != body[:, c]).any():
-            odd.unwrapped.append(c)
+    within = [bool((wrapped(x.astype(np.int64), model.decimals) == x).all()) for x in body.T]
+    odd.unwrapped = [c for c in model.moving if model.turns(c) and not within[c]]
+    strays = {c for c in model.constant if (body[:, c] != model.mean[c]).any()}
     for n, law in enumerate(model.laws):
-        left = residuals(law, body, model.decimals)
-        whole = all((r == body[:, c]).all() for c, r in zip(law.targets, restored(law, body, left, model.decimals), strict=True))
-        free = [_extrapolated(model, body, c) for c in law.targets]
-        in_range = all((wrapped(body[:, c].astype(np.int64), model.decimals) == body[:, c]).all() for c in law.targets)
-        if not in_range:
-            odd.strays += list(law.targets)
-        elif not whole or _cost(free) < _cost([np.diff(x, 2) for x in left] if law.smooth else left):
+        if not all(within[c] for c in law.targets):
+            strays |= set(law.targets)
+        elif not _pays(model, law, body):
             odd.lawless.append(n)
-    odd.strays = sorted(odd.strays)
+    odd.strays = sorted(strays)
     return odd
+
+
+def _pays(model: RigModel, law: AbstractLaw, body: Rows) -> bool:
+    """True where what the law leaves costs less than second differences, as it does but where a figure breaks its laws."""
+    left = residuals(law, body, model.decimals)
+    free = [_extrapolated(model, body, c) for c in law.targets]
+    return _cost([np.diff(x, 2) for x in left] if law.smooth else left) <= _cost(free)
 
 
 def _cost(columns: Sequence[np.ndarray]) -> float:
@@ -160,18 +166,16 @@ def _cost(columns: Sequence[np.ndarray]) -> float:
 
 def _wild(model: RigModel, values: Int32[np.ndarray, "frames lanes"]) -> list[int]:
     """Columns whose lanes may leave more than a symbol can say."""
-    large = np.abs(values.astype(np.int64)) >= lanes.LIMIT // 2
-    first, moving = values[:1], model.lanes.moving
-    change = np.abs(np.diff(values[:, :moving].astype(np.int64), 2, axis=0)) >= lanes.LIMIT // 2
-    wild = np.concatenate([change.any(0) | (np.abs(first[:, :moving].astype(np.int64)) >= lanes.LIMIT // 2).any(0), large[:, moving:].any(0)])
-    coded = [*model.moving, *model.targets]
-    return [coded[n] for n in np.flatnonzero(wild)]
+    wide, moving = values.astype(np.int64), model.lanes.moving
+    changes = np.concatenate([lanes.differences(wide[:, :moving]), wide[:, moving:]], 1)
+    wild = (np.abs(changes) >= lanes.LIMIT // 2).any(0)
+    return [c for c, w in zip((*model.moving, *model.targets), wild, strict=True) if w]
 
 
 def _begins_with_rest(model: RigModel, integers: Rows) -> bool:
-    return len(integers) > 1 and bool((integers[0] == _rest_row(model, integers[1])).mean() > 0.5) and not (
-        integers[0] == integers[1]
-    ).all()
+    if len(integers) < 2 or (integers[0] == integers[1]).all():
+        return False
+    return bool((integers[0] == _rest_row(model, integers[1])).mean() > 0.5)
 
 
 def _rest_row(model: RigModel, second: Int32[np.ndarray, " columns"]) -> Int32[np.ndarray, " columns"]:

@@ -31,7 +31,11 @@ _LAGS = 3
 _UNIT_BITS, _ADAPTIVE_BITS = 6, 16
 _INPUT_CLIP, _ERROR_CLIP, _OUTPUT_CLIP = 3 << _UNIT_BITS, 3 << _UNIT_BITS - 1, 3 << 14
 _RATE, _RATE_FRAMES, _RATE_BOOST = 131, 100, 3  # 0.002 of 2^16; faster by so much in the first frames
-_MEAN_SCALES = 2.0 ** (np.arange(CLASSES) / 4 + 0.83)  # the mean magnitude of a class, whose index is of the mean logarithm
+# The mean magnitude of a class, 0.83 octaves above its mean logarithm. Powers are spelled out: libraries differ in them.
+_QUARTERS = np.array([1.7776853623331403, 2.114036081122761, 2.5140267490436567, 2.989698497269877])
+_MEAN_SCALES = np.ldexp(_QUARTERS[np.arange(CLASSES) % 4], np.arange(CLASSES) // 4)
+_EIGHTHS = np.array([1.0, 1.0905077326652577, 1.189207115002721, 1.2968395546510096,
+                     1.4142135623730951, 1.5422108254079407, 1.681792830507429, 1.8340080864093424])  # fmt: skip
 _LIMITS = (4 * _MEAN_SCALES).astype(np.int32)
 _RECIPROCALS = np.rint(2.0 ** (15 + _UNIT_BITS) / _MEAN_SCALES).astype(np.int32)
 _EXPONENTS = np.floor(np.arange(CLASSES) / 4 + 0.83).astype(np.int32)
@@ -111,6 +115,12 @@ def logarithm(xp: ModuleType, x: Int32[np.ndarray, "*n"] | Int32[Array, "*n"]) -
     return (bits >> 20) - 127 * PER_OCTAVE
 
 
+def power(eighths: Int16[np.ndarray, "*n"]) -> Int32[np.ndarray, "*n"]:
+    """The nearest integer to two to the power of so many eighths, up to 30 octaves."""
+    eighths = np.clip(eighths.astype(np.int32), 0, 30 * PER_OCTAVE)
+    return np.rint(np.ldexp(_EIGHTHS[eighths % PER_OCTAVE], eighths // PER_OCTAVE)).astype(np.int32)
+
+
 def magnitude_logarithm(xp: ModuleType, magnitude):
     """The logarithm of a residual's magnitude plus a half."""
     return logarithm(xp, (xp.minimum(magnitude, np.int32(MAGNITUDE_CLIP)) << FRACTION) + np.int32(1 << FRACTION - 1))
@@ -119,12 +129,24 @@ def magnitude_logarithm(xp: ModuleType, magnitude):
 def begin(xp: ModuleType, model: LaneModel, room: int) -> Wave:
     """Before the first frame, with room for so many steps."""
     lanes, moving = model.count, model.moving
-    average = np.rint(2.0 ** (model.start[:, 2] / PER_OCTAVE)).astype(np.int32)
+    average = power(model.start[:, 2])
     logs = np.stack([model.start[:, 2].astype(np.int32)] * 2)
-    shapes: list[tuple[int, ...]] = [(_LAGS, moving), (_LAGS, moving), (lanes,), (moving,), (moving,), (moving,), (moving, moving)]
-    shapes += [(room + lanes, lanes), (room + moving, moving), (room + moving, moving)]
-    zeros = [np.zeros(s, np.int32) for s in ((lanes,), (lanes,), *shapes)]
-    return Wave(*(xp.asarray(a) for a in (*zeros[:2], np.stack([average] * len(RATES)), logs, *zeros[2:])))
+    return Wave(
+        value=xp.zeros(lanes, np.int32),
+        velocity=xp.zeros(lanes, np.int32),
+        averages=xp.asarray(np.stack([average] * len(RATES))),
+        logs=xp.asarray(logs),
+        past=xp.zeros((_LAGS, moving), np.int32),
+        past_weights=xp.zeros((_LAGS, moving), np.int32),
+        surprise=xp.zeros(lanes, np.int32),
+        driving=xp.zeros(moving, np.int32),
+        unit=xp.zeros(moving, np.int32),
+        error=xp.zeros(moving, np.int32),
+        weights=xp.zeros((moving, moving), np.int32),
+        scaled=xp.zeros((room + lanes, lanes), np.int32),
+        predicted=xp.zeros((room + moving, moving), np.int32),
+        inputs=xp.zeros((room + moving, moving), np.int32),
+    )
 
 
 def turned(xp: ModuleType, wave: Wave, room: int) -> Wave:
@@ -144,7 +166,8 @@ def entered(xp: ModuleType, t: Tables, wave: Wave, at) -> Wave:
     This waits for a step, since XLA would compute a vector again for every element of the matrix that it enters.
     """
     before = at + 1
-    here = xp.arange(len(wave.unit))[:, None] == xp.arange(len(wave.unit))
+    lanes = xp.arange(len(wave.unit))
+    here = lanes[:, None] == lanes[None]
     inputs = _rows(xp, wave.inputs, before)
     return wave._replace(
         weights=_corrected(xp, wave.weights, wave.error[:, None], inputs),
@@ -198,10 +221,10 @@ def learn(xp: ModuleType, t: Tables, wave: Wave, frame, active, expected: Expect
     return wave._replace(
         value=xp.concatenate([value, still]),
         velocity=xp.concatenate([velocity, still]),
-        averages=xp.where(warm, averages, wave.averages),
-        logs=xp.where(warm, xp.stack([log, wave.logs[0]]), wave.logs),
-        past=xp.where(warm[:moving], past, wave.past),
-        past_weights=_corrected(xp, wave.past_weights, error * rate, wave.past),
+        averages=xp.where(warm[None], averages, wave.averages),
+        logs=xp.where(warm[None], xp.stack([log, wave.logs[0]]), wave.logs),
+        past=xp.where(warm[None, :moving], past, wave.past),
+        past_weights=_corrected(xp, wave.past_weights, (error * rate)[None], wave.past),
         surprise=surprise,
         driving=driving,
         unit=unit,
