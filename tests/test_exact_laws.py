@@ -210,7 +210,7 @@ def test_monomials_are_products():
 
 def test_bend_terms_are_products():
     arms = [list(unit(v)[:, None]) for v in ([0.1, 1, 0.2], [0.3, 1, 0], [0, 1, 0])]
-    p, q, r = (1 - sum(a * b for a, b in zip(arms[i], arms[j], strict=True))[0] for i, j in ((0, 1), (1, 2), (0, 2)))
+    p, q, r = (1 - np.dot(np.ravel(arms[i]), np.ravel(arms[j])) for i, j in ((0, 1), (1, 2), (0, 2)))
     np.testing.assert_allclose(np.stack(bend_terms(arms, 2))[:, 0], [1, r, q, p, r * r, q * r, q * q, p * r, p * q, p * p])
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..codecs.archive import read_archive
+from ..codecs.archive_index import NUMBERS as NUMBER_KIND
 from ..codecs.container import DIGEST_BYTES
 from ..codecs.database import Database
 from ..codecs.lossless import AbstractNumberCodec, NumberTable
@@ -84,25 +85,25 @@ def codec_row(folder: Folder, name: str, codec: AbstractNumberCodec, runs: int =
 
 
 def archive_row(folder: Folder, codec: str, runs: int = 2) -> dict:
-    """A database as `jaxmocap pack` makes and `unpack` reads it; packing includes the unpacking that verifies it."""
+    """A database as `jaxmocap pack` makes and `unpack` reads it; packing includes the unpacking that verifies it.
+
+    `rest_bytes` are those that are not the number codec's: headers, layouts of the text, names, checksums, other files.
+    """
     taken = {}
     for _ in range(runs):
         packed, compress_s = timed(lambda: pack(folder.files, codec))
         count, decompress_s = timed(lambda d=packed.data: sum(1 for _ in Database(read_archive(d)).read_all()))
         _check(codec, count == len(folder.files))
-        taken = row(folder, codec, "files", len(packed.data), compress_s, decompress_s)
+        archive = read_archive(packed.data)
+        numbers = sum(entry.payload for entry in archive.entries if entry.kind >= NUMBER_KIND)
+        rest = len(packed.data) - len(archive.shared.tables) - numbers
+        taken = {**row(folder, codec, "files", len(packed.data), compress_s, decompress_s), "rest_bytes": rest}
     return taken
 
 
-def rest_bytes(folder: Folder) -> int:
-    """Of a database all but its numbers: headers, layouts of the text, names and checksums."""
-    archive = read_archive(pack(folder.files, "mrpa").data)
-    return len(archive.data) - len(archive.shared.tables) - sum(entry.payload for entry in archive.entries)
-
-
-def with_rest(folder: Folder, numbers: dict, rest: int) -> dict:
+def with_rest(folder: Folder, numbers: dict, rest_bytes: int) -> dict:
     """The row of the database that the numbers of a row would be in."""
-    return row(folder, numbers["name"], "files", numbers["bytes"] + rest)
+    return row(folder, numbers["name"], "files", numbers["bytes"] + rest_bytes)
 
 
 def held_out_row(folder: Folder, name: str, learned_from: Sequence[Path]) -> dict:
@@ -130,7 +131,7 @@ def one_of_many(folder: Folder, name: str, codec: str) -> dict:
 def threshold_rows(folder: Folder, name: str) -> list[dict]:
     """What `mrpa` finds, and its ratio, against one of its thresholds, the others as usual."""
     values, patterns = THRESHOLDS[name]
-    rest = rest_bytes(folder)
+    rest = archive_row(folder, "mrpa", runs=1)["rest_bytes"]
     return [_threshold_row(folder, value, patterns(value), rest) for value in values]
 
 

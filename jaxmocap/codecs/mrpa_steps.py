@@ -34,7 +34,7 @@ def steps(
 ) -> Steps:
     """How the frames first..stop-1 are predicted, all that they lean on being known."""
     source = links.source(len(known))[first:stop]
-    at = np.maximum(source, 1)
+    at = np.maximum(source, 0)
     linked = ((source > 0) & inner[at])[:, None]
     other = np.where(linked, known[at] - known[at - 1], 0)
     weight = np.where(linked, links.weight(np.arange(first, stop)), 0)

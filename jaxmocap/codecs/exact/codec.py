@@ -18,13 +18,13 @@ from ..bitstream import ByteReader, varint
 from ..lossless import AbstractNumberCodec, NumberTable
 from ..squeeze import expand, squeeze
 from .fit import SHORTEST
-from .lanes import WORTH_COMPILING
+from .lanes import worth_compiling
 from .model import RigModel, from_artifact, to_artifact
 from .rig_fit import fit_rig, plain_rig
-from .tables import decode_table, encode_table
+from .tables import decode_tables, encode_table
 
 _GIVEN, _LEARNED = 0, 1  # the model is the artifact, or stored
-_WORTH_COMPILING_BYTES = 80 * WORTH_COMPILING  # a frame of a figure is about so large
+_FRAME_BYTES = 80  # that a frame of a figure takes, more or less
 _LEARNING_FRAMES = 1500  # tables that teach fewer frames do not pay for a model of their own
 
 
@@ -52,11 +52,9 @@ class Exact(AbstractNumberCodec):
 
     def _encode_rig(self, tables: list[NumberTable]) -> tuple[bytes, list[bytes]]:
         """The artifact's model where it fits, or else the cheapest of those that can be learned."""
-        frames = sum(len(t.integers) for t in tables)
         teaching = sum(len(t.integers) for t in tables if len(t.integers) >= SHORTEST)
-        compiled = frames >= WORTH_COMPILING
         if self.artifact is not None and (model := from_artifact(self.artifact)).fits(tables[0].columns, tables[0].decimals):
-            return bytes([_GIVEN]), [encode_table(model, t, compiled) for t in tables]
+            return bytes([_GIVEN]), _encoded(model, tables)
         learned = [plain_rig(tables)]
         if teaching >= _LEARNING_FRAMES:
             learned.append(fit_rig(tables))
@@ -65,33 +63,36 @@ class Exact(AbstractNumberCodec):
             raw = to_artifact(model, _digest(tables)).data
             data = varint(len(raw)) + squeeze(raw)
             stored = bytes([_LEARNED]) + varint(len(data)) + data + _checksum(data)
-            choices.append((stored, [encode_table(model, t, compiled) for t in tables]))
+            choices.append((stored, _encoded(model, tables)))
         return min(choices, key=lambda c: len(c[0]) + sum(map(len, c[1])))
 
     def decode(self, shared: bytes, payload: Callable[[int], bytes], which: Sequence[int]) -> list[NumberTable]:
         models = self._models(shared)
-        payloads = [payload(n) for n in which]
-        compiled = sum(map(len, payloads)) >= _WORTH_COMPILING_BYTES
-        tables = []
-        for data in payloads:
-            reader = ByteReader(data)
-            number = reader.varint()
-            if number >= len(models):
-                raise CorruptStream(f"a table names rig {number}, the archive holds {len(models)}")
-            tables.append(decode_table(models[number], reader, compiled))
-        return tables
+        readers = [ByteReader(payload(n)) for n in which]
+        numbers = [reader.varint() for reader in readers]
+        if max(numbers, default=-1) >= len(models):
+            raise CorruptStream(f"a table names rig {max(numbers)}, the archive holds {len(models)}")
+        frames = sum(reader.left for reader in readers) // _FRAME_BYTES
+        tables: dict[int, NumberTable] = {}
+        for rig in sorted(set(numbers)):
+            members = [n for n, number in enumerate(numbers) if number == rig]
+            compiled = worth_compiling(models[rig].lanes, frames)
+            found = decode_tables(models[rig], [readers[n] for n in members], compiled)
+            tables.update(zip(members, found, strict=True))
+        return [tables[n] for n in range(len(readers))]
 
     def _models(self, shared: bytes) -> list[RigModel]:
         reader = ByteReader(shared)
         models = []
         for _ in range(reader.varint()):
-            if reader.byte() == _LEARNED:
+            kind = reader.byte()
+            if kind == _LEARNED:
                 data = ByteReader(reader.take(reader.varint()))
                 if reader.take(4) != _checksum(data.data):
                     raise CorruptStream("a rig model of the archive does not match its checksum")
                 size = data.varint()
                 artifact = parse_artifact(expand(data.take(data.left), size), "the archive's rig model")
-            elif self.artifact is not None:
+            elif kind == _GIVEN and self.artifact is not None:
                 artifact = self.artifact
             else:
                 raise CorruptStream("the tables need the archive's model, and it has none")
@@ -103,6 +104,11 @@ class Exact(AbstractNumberCodec):
 
 def _checksum(data: bytes) -> bytes:
     return zlib.crc32(data).to_bytes(4, "little")
+
+
+def _encoded(model: RigModel, tables: Sequence[NumberTable]) -> list[bytes]:
+    compiled = worth_compiling(model.lanes, sum(len(t.integers) for t in tables))
+    return [encode_table(model, t, compiled) for t in tables]
 
 
 def _digest(tables: Sequence[NumberTable]) -> str:

@@ -18,7 +18,8 @@ from . import wave as waves
 from .wave import CLASSES, LaneModel, Tables, Wave
 
 _BLOCK = 512  # steps compiled together
-WORTH_COMPILING = 3000  # frames; fewer are done in NumPy before XLA would have compiled
+_WORTH_COMPILING = 3000  # frames; fewer are done in NumPy before XLA would have compiled
+_compiled_for: set[tuple[int, int]] = set()  # numbers of moving and of all lanes
 LIMIT = 1 << 27  # residuals are smaller
 
 # Bins of magnitudes in units of 2^shift: 8 single ones, 4 an octave up to 64, 2 an octave up to 4096, and an escape.
@@ -43,11 +44,13 @@ class Reading(NamedTuple):
     bit: Array | np.ndarray
 
 
-def encode(model: LaneModel, values: Int32[np.ndarray, "frames lanes"], rest: bytes, compiled: bool) -> tuple[bytes, bytes]:
-    """The payload of the lanes' values, and what of `rest` found no room in it (two bytes a lane do).
+def worth_compiling(model: LaneModel, frames: int) -> bool:
+    """Whether compiled steps are the faster ones for so many frames, all tables together; the bytes are the same."""
+    return frames >= _WORTH_COMPILING or (model.moving, model.count) in _compiled_for
 
-    `compiled` or not changes the speed only: it pays from WORTH_COMPILING frames on, all tables together.
-    """
+
+def encode(model: LaneModel, values: Int32[np.ndarray, "frames lanes"], rest: bytes, compiled: bool) -> tuple[bytes, bytes]:
+    """The payload of the lanes' values, and what of `rest` found no room in it (two bytes a lane do)."""
     residual, classes = residuals(model, values, compiled)
     symbols, raw, count = _symbols(residual, classes)
     cumulative = _cumulative(model)
@@ -204,11 +207,11 @@ def _predict_plainly(model: LaneModel, changes: np.ndarray, frames: int):
 
 def _predict_compiled(model: LaneModel, changes: np.ndarray, frames: int):
     """The steps by blocks of one size, so that one compilation serves all."""
-    tables, wave = waves.tables(jnp, model), waves.begin(jnp, model, _BLOCK)
+    tables, wave = waves.tables(np, model), waves.begin(np, model, _BLOCK)
     padded = np.concatenate([changes, np.zeros((-len(changes) % _BLOCK, changes.shape[1]), np.int32)])
     out = []
     for n in range(0, len(padded), _BLOCK):
-        wave, left = _predict_block(tables, jnp.int32(frames), wave, jnp.int32(n), jnp.asarray(padded[n : n + _BLOCK]))
+        wave, left = _predict_block(tables, np.int32(frames), wave, np.int32(n), padded[n : n + _BLOCK])
         out.append([np.asarray(x) for x in left])
     return tuple(np.concatenate(part) for part in zip(*out, strict=True))
 
@@ -240,8 +243,10 @@ def _read_plainly(model: LaneModel, states, words, bits, frames: int, steps: int
 
 def _read_compiled(model: LaneModel, states, words, bits, frames: int, steps: int):
     """By blocks, each with a window of its words and bits."""
-    tables, cumulative = waves.tables(jnp, model), jnp.asarray(_cumulative(model).astype(np.uint32))
-    state = Reading(waves.begin(jnp, model, _BLOCK), rans.Decoding(jnp.asarray(states), jnp.int32(0)), jnp.int32(0))
+    _compiled_for.add((model.moving, model.count))
+    tables, cumulative = waves.tables(np, model), _cumulative(model).astype(np.uint32)
+    zero = np.array(0, np.int32)
+    state = Reading(waves.begin(np, model, _BLOCK), rans.Decoding(states, zero), zero)
     room = (_BLOCK + 1) * model.count
     words, bits = (np.concatenate([a, np.zeros(room + 2, np.uint32)]) for a in (words, bits))
     rows, word, bit = [], 0, 0
@@ -249,19 +254,21 @@ def _read_compiled(model: LaneModel, states, words, bits, frames: int, steps: in
         if word + room > len(words) or (bit >> 5) + room > len(bits):
             raise CorruptStream("the lanes of a payload want more words than there are")
         window = words[word : word + room], bits[bit >> 5 : (bit >> 5) + room]
-        streams = Streams(cumulative, *map(jnp.asarray, window))
-        state = Reading(state.wave, state.coder._replace(at=jnp.int32(0)), jnp.int32(bit & 31))
-        state, block = _read_block(tables, streams, jnp.int32(frames), state, jnp.int32(n))
+        count = np.int32(min(steps - n, _BLOCK))
+        state = Reading(state.wave, state.coder._replace(at=zero), np.array(bit & 31, np.int32))
+        state, block = _read_block(tables, Streams(cumulative, *window), np.int32(frames), state, np.int32(n), count)
         word, bit = word + int(state.coder.at), (bit & ~31) + int(state.bit)
         rows.append(np.asarray(block))
     coder = rans.Decoding(np.asarray(state.coder.states), np.array(word))
-    return np.concatenate(rows), coder, bit
+    return np.concatenate(rows)[:steps], coder, bit
 
 
 @eqx.filter_jit
-def _read_block(tables: Tables, streams: Streams, frames, state: Reading, begin):
-    def step(state: Reading, n):
-        return _read_step(jnp, tables, streams, frames, state, begin + n)
+def _read_block(tables: Tables, streams: Streams, frames, state: Reading, begin, steps):
+    def step(n, carry: tuple[Reading, Array]):
+        state, values = _read_step(jnp, tables, streams, frames, carry[0], begin + n)
+        return state, jax.lax.dynamic_update_index_in_dim(carry[1], values, n, 0)
 
-    state, values = jax.lax.scan(step, state, jnp.arange(_BLOCK, dtype=jnp.int32))
-    return state._replace(wave=waves.turned(jnp, state.wave, _BLOCK)), values
+    rows = jnp.zeros((_BLOCK, len(state.wave.value)), jnp.int32)
+    state, rows = jax.lax.fori_loop(np.int32(0), steps, step, (state, rows))
+    return state._replace(wave=waves.turned(jnp, state.wave, _BLOCK)), rows

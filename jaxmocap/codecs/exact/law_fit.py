@@ -167,7 +167,9 @@ def _neighbours(body: Table) -> tuple[Table, Table]:
 
 def _chain_laws(now: Table, after: Table, chain: tuple[Joint, Joint, Joint]) -> list[list[AbstractLaw]]:
     """What may be known of a chain: any of its joints nearly, or the last one, where that bends as the others do."""
-    near = [[_polynomial(now, after, j.columns, _columns(o for o in chain if o is not j))] for j in chain]
+    near: list[list[AbstractLaw]] = [
+        [_polynomial(now, after, j.columns, _columns(o for o in chain if o is not j))] for j in chain
+    ]
     middle = _polynomial(now, after, chain[2].columns[1:2], _columns(chain[:2]))
     return [*near, *([middle, law] for law in _bent(now, chain))]
 
@@ -192,7 +194,7 @@ def _polynomial(now: Table, after: Table, targets: tuple[int, ...], inputs: tupl
     solved = []
     for c in targets:
         step = wrapped(after[:, c].astype(np.int64) - now[:, c], DECIMALS)
-        weights = np.ones(len(now))
+        weights, found = np.ones(len(now)), np.zeros(terms.shape[1])
         for _ in range(4):
             gram = (steps * weights[:, None]).T @ steps + _ANCHOR * terms.T @ terms
             gram += 1e-10 * np.trace(gram) * np.eye(len(gram))
@@ -289,7 +291,7 @@ def _polished(table: Table, law: AbstractLaw) -> AbstractLaw:
     targets = angles[list(law.targets)]
 
     def leaves(x: np.ndarray) -> np.ndarray:
-        left = targets - np.stack(law.with_numbers(x).predict(angles))
+        left = targets - np.stack(law.with_numbers(x.tolist()).predict(angles))
         return (left - _TURN * np.rint(left / _TURN)).ravel()
 
     for _ in range(_POLISHINGS):
@@ -301,11 +303,11 @@ def _polished(table: Table, law: AbstractLaw) -> AbstractLaw:
         gram = slopes @ (slopes / np.where(weights > 0, weights, 1.0)).T
         ridged = gram + 1e-9 * np.trace(gram) * np.eye(len(gram)) + 1e-12 * np.eye(len(gram))
         numbers = numbers - np.linalg.solve(ridged, slopes @ left)
-    best = law.with_numbers(np.rint(numbers * 2.0**32) / 2.0**32)
+    best = law.with_numbers((np.rint(numbers * 2.0**32) / 2.0**32).tolist())
     return best if _bits(residuals(best, table, DECIMALS)) < _bits(residuals(law, table, DECIMALS)) else law
 
 
-def _bits(rows: np.ndarray) -> float:
+def _bits(rows: Iterable[np.ndarray]) -> float:
     """What integers cost, all rows together, in bits a frame: the entropy of their octave, and the bits below it."""
     total = 0.0
     for row in rows:
@@ -325,6 +327,3 @@ def causal(laws: Sequence[AbstractLaw]) -> Iterator[AbstractLaw]:
         waiting = [law for law in waiting if law not in ready]
         if not ready:
             raise ValueError("laws lean on each other in a circle")
-
-
-fit_polynomials = fit_chains

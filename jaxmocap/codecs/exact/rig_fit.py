@@ -10,7 +10,7 @@ from jaxtyping import Int32
 from ..lossless import NumberTable
 from . import signs
 from .fit import fit_lanes, untrained
-from .law_fit import DECIMALS, causal, fit_geometry, fit_polynomials
+from .law_fit import DECIMALS, causal, fit_chains, fit_geometry
 from .laws import AbstractLaw
 from .model import RigModel, is_angle
 from .tables import Exceptions, to_lanes
@@ -33,7 +33,7 @@ def fit_laws(tables: Sequence[NumberTable]) -> tuple[AbstractLaw, ...]:
     columns, decimals = tables[0].columns, tables[0].decimals
     bodies = [(t.integers[1:].astype(np.int64) * 10**DECIMALS // 10**decimals).astype(np.int32) for t in tables]
     geometry = fit_geometry(np.concatenate(bodies), columns)
-    return tuple(causal([*geometry, *fit_polynomials(bodies, columns, geometry)]))
+    return tuple(causal([*geometry, *fit_chains(bodies, columns, geometry)]))
 
 
 def learned_rig(tables: Sequence[NumberTable], laws: tuple[AbstractLaw, ...], header: bytes = b"") -> RigModel:

@@ -55,8 +55,29 @@ def encode_table(model: RigModel, table: NumberTable, compiled: bool) -> bytes:
     return head + varint(len(side)) + more + coded
 
 
-def decode_table(model: RigModel, reader: ByteReader, compiled: bool) -> NumberTable:
-    """What `encode_table` wrote. Raises CorruptStream or TruncatedStream."""
+@dataclass(frozen=True, eq=False)
+class _Read:
+    """A payload as it was read, before the laws have given their columns."""
+
+    values: Int32[np.ndarray, "frames lanes"]
+    odd: Exceptions
+    strays: dict[int, np.ndarray]
+    first: dict[int, int] | None
+    side: ByteReader
+
+
+def decode_tables(model: RigModel, readers: Sequence[ByteReader], compiled: bool) -> list[NumberTable]:
+    """What `encode_table` wrote, for many payloads. Raises CorruptStream or TruncatedStream."""
+    reads = [_read(model, reader, compiled) for reader in readers]
+    tables = []
+    for read, body in zip(reads, _bodies(model, reads), strict=True):
+        integers = body if read.first is None else np.concatenate([_first_row(model, read.first, body), body])
+        negative = signs.decode(read.side, integers == 0, model.signs)
+        tables.append(NumberTable(model.columns, integers, negative, model.decimals))
+    return tables
+
+
+def _read(model: RigModel, reader: ByteReader, compiled: bool) -> _Read:
     head, length = reader.varint(), reader.varint()
     frames, rests = head >> 2, bool(head & _RESTS)
     if frames // _FRAMES_A_BYTE > length or frames < rests:
@@ -74,11 +95,24 @@ def decode_table(model: RigModel, reader: ByteReader, compiled: bool) -> NumberT
     odd = Exceptions()
     if head & _ODD:
         odd = Exceptions(*(_read_list(side, n) for n in (len(model.columns), len(model.laws), len(model.columns))))
-    strays = {c: _read_stray(side, body_frames) for c in odd.strays}
-    body = from_lanes(model, values, odd, strays)
-    integers = body if first is None else np.concatenate([_first_row(model, first, body), body])
-    negative = signs.decode(side, integers == 0, model.signs)
-    return NumberTable(model.columns, integers, negative, model.decimals)
+    return _Read(values, odd, {c: _read_stray(side, body_frames) for c in odd.strays}, first, side)
+
+
+def _bodies(model: RigModel, reads: Sequence[_Read]) -> list[Rows]:
+    """The frames of every table; the laws are applied to all alike tables at once, as short arrays cost much a number."""
+    alike: dict[tuple, list[int]] = {}
+    for n, read in enumerate(reads):
+        alike.setdefault((tuple(read.odd.strays), n if read.odd.lawless else -1), []).append(n)
+    bodies: list[Rows] = [np.zeros((0, 0), np.int32)] * len(reads)
+    for members in alike.values():
+        own = [_moved(model, reads[n]) for n in members]
+        body = np.concatenate(own) if len(own) > 1 else own[0]
+        values = np.concatenate([reads[n].values for n in members]) if len(own) > 1 else reads[members[0]].values
+        _obey(model, body, values, reads[members[0]].odd)
+        ends = np.cumsum([len(rows) for rows in own])
+        for n, rows in zip(members, np.split(body, ends[:-1]), strict=True):
+            bodies[n] = rows
+    return bodies
 
 
 def to_lanes(model: RigModel, body: Rows, odd: Exceptions) -> Int32[np.ndarray, "frames lanes"]:
@@ -97,30 +131,32 @@ def to_lanes(model: RigModel, body: Rows, odd: Exceptions) -> Int32[np.ndarray, 
     return np.stack(out, 1).astype(np.int32) if out else np.zeros((len(body), 0), np.int32)
 
 
-def from_lanes(
-    model: RigModel, values: Int32[np.ndarray, "frames lanes"], odd: Exceptions, strays: dict[int, np.ndarray]
-) -> Rows:
-    """The inverse of `to_lanes`."""
-    lane = {c: values[:, n].astype(np.int64) for n, c in enumerate((*model.moving, *model.targets))}
-    body = np.tile(model.mean, (len(values), 1))
-    for c in model.moving:
-        column = lane[c] + model.mean[c]
-        body[:, c] = column if c in odd.unwrapped or not model.turns(c) else wrapped(column, model.decimals)
-    for c, column in strays.items():
+def _moved(model: RigModel, read: _Read) -> Rows:
+    """The frames with their moving columns and strays; elsewhere the means."""
+    body = np.tile(model.mean, (len(read.values), 1))
+    for n, c in enumerate(model.moving):
+        column = read.values[:, n].astype(np.int64) + model.mean[c]
+        body[:, c] = column if c in read.odd.unwrapped or not model.turns(c) else wrapped(column, model.decimals)
+    for c, column in read.strays.items():
         body[:, c] = column
+    return body
+
+
+def _obey(model: RigModel, body: Rows, values: Int32[np.ndarray, "frames lanes"], odd: Exceptions) -> None:
+    """Enters the columns that the laws give."""
+    lane = {c: n for n, c in enumerate((*model.moving, *model.targets))}
     for n, law in enumerate(model.laws):
-        columns = [lane[c] for c in law.targets]
+        left = [values[:, lane[c]].astype(np.int64) for c in law.targets]
         if n not in odd.lawless:
-            columns = restored(law, body, columns, model.decimals)
+            columns = restored(law, body, left, model.decimals)
         elif not law.smooth:
-            sums = [np.cumsum(np.cumsum(x)) + model.mean[c] for c, x in zip(law.targets, columns, strict=True)]
+            sums = [np.cumsum(np.cumsum(x)) + model.mean[c] for c, x in zip(law.targets, left, strict=True)]
             columns = [wrapped(x, model.decimals) for x in sums]
         else:
             continue
         for c, column in zip(law.targets, columns, strict=True):
-            if c not in strays:
+            if c not in odd.strays:
                 body[:, c] = column
-    return body
 
 
 def unwrapped(model: RigModel, column: Int32[np.ndarray, " frames"], c: int) -> Int32[np.ndarray, " frames"]:
@@ -168,8 +204,8 @@ def _wild(model: RigModel, values: Int32[np.ndarray, "frames lanes"]) -> list[in
     """Columns whose lanes may leave more than a symbol can say."""
     wide, moving = values.astype(np.int64), model.lanes.moving
     changes = np.concatenate([lanes.differences(wide[:, :moving]), wide[:, moving:]], 1)
-    wild = (np.abs(changes) >= lanes.LIMIT // 2).any(0)
-    return [c for c, w in zip((*model.moving, *model.targets), wild, strict=True) if w]
+    coded = (*model.moving, *model.targets)
+    return [coded[n] for n in np.flatnonzero((np.abs(changes) >= lanes.LIMIT // 2).any(0))]
 
 
 def _begins_with_rest(model: RigModel, integers: Rows) -> bool:

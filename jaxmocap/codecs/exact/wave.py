@@ -94,6 +94,7 @@ class Wave(NamedTuple):
     unit: Array | np.ndarray  # (moving,), likewise
     error: Array | np.ndarray  # (moving,), likewise
     weights: Array | np.ndarray  # (moving, from moving), adaptive
+    window: Array | np.ndarray  # (moving, from moving): the rows of `inputs` that the lanes are at
     scaled: Array | np.ndarray  # (rows, to lanes): sums of `shared` so far
     predicted: Array | np.ndarray  # (rows, to moving): sums of the model's weights so far
     inputs: Array | np.ndarray  # (rows, from moving): values in units of their scale
@@ -143,6 +144,7 @@ def begin(xp: ModuleType, model: LaneModel, room: int) -> Wave:
         unit=xp.zeros(moving, np.int32),
         error=xp.zeros(moving, np.int32),
         weights=xp.zeros((moving, moving), np.int32),
+        window=xp.zeros((moving, moving), np.int32),
         scaled=xp.zeros((room + lanes, lanes), np.int32),
         predicted=xp.zeros((room + moving, moving), np.int32),
         inputs=xp.zeros((room + moving, moving), np.int32),
@@ -168,12 +170,13 @@ def entered(xp: ModuleType, t: Tables, wave: Wave, at) -> Wave:
     before = at + 1
     lanes = xp.arange(len(wave.unit))
     here = lanes[:, None] == lanes[None]
-    inputs = _rows(xp, wave.inputs, before)
+    inputs = _put(xp, wave.inputs, before, xp.where(here, wave.unit[:, None], wave.window))
     return wave._replace(
-        weights=_corrected(xp, wave.weights, wave.error[:, None], inputs),
+        weights=_corrected(xp, wave.weights, wave.error[:, None], wave.window),
+        window=_rows(xp, inputs, at),
         scaled=_put(xp, wave.scaled, before, _rows(xp, wave.scaled, before) + t.shared * wave.surprise[:, None]),
         predicted=_put(xp, wave.predicted, before, _rows(xp, wave.predicted, before) + t.weights * wave.driving[:, None]),
-        inputs=_put(xp, wave.inputs, before, xp.where(here, wave.unit[:, None], inputs)),
+        inputs=inputs,
     )
 
 
@@ -187,7 +190,7 @@ def expect(xp: ModuleType, t: Tables, wave: Wave, at, frame) -> Expected:
     scale = xp.where(frame < 1, t.start[0], xp.where(frame < 2, t.start[1], scale))
     classes = xp.clip(scale - np.int32(LOG_FLOOR) >> 1, 0, CLASSES - 1)
     fixed = _diagonal(xp, _rows(xp, wave.predicted, at)) >> WEIGHT_BITS
-    total = (wave.weights * _rows(xp, wave.inputs, at)).sum(1, dtype=np.int32)
+    total = (wave.weights * wave.window).sum(1, dtype=np.int32)
     total = total + (wave.past_weights * wave.past).sum(0, dtype=np.int32)
     total = xp.clip(total >> _UNIT_BITS + _ADAPTIVE_BITS - 14, -_OUTPUT_CLIP, _OUTPUT_CLIP)
     shift = np.int32(22) - xp.asarray(_EXPONENTS)[classes[:moving]]
@@ -253,7 +256,7 @@ def _diagonal(xp: ModuleType, matrix):
 def _rows(xp: ModuleType, matrix, at):
     """The rows of the frames that the lanes have come to: as many as there are columns."""
     count = matrix.shape[1]
-    return matrix[at : at + count] if xp is np else jax.lax.dynamic_slice_in_dim(matrix, at, count)
+    return matrix[at : at + count].copy() if xp is np else jax.lax.dynamic_slice_in_dim(matrix, at, count)
 
 
 def _put(xp: ModuleType, matrix, at, rows):
