@@ -462,10 +462,9 @@ shared, payloads = t.Exact().encode(tables)
 model = t.to_artifact(t.fit_rig(tables), "corpus").data
 print(hashlib.sha256(shared + b"".join(payloads) + model).hexdigest())
 """
-_BLAS = pytest.mark.xfail(strict=False, reason="polynomials are fitted by a BLAS whose sums depend on its threads")
 
 
-@pytest.mark.parametrize("name", ["figure", pytest.param("spine", marks=_BLAS)])
+@pytest.mark.parametrize("name", ["figure", "spine"])
 def test_the_number_of_threads_changes_nothing(name: str):
     clean = {key: value for key, value in os.environ.items() if "THREADS" not in key and key != "NPROC"}
     hashes = set()

@@ -16,7 +16,7 @@ TOP = ("bench", "commands", "__main__")
 PEERS = {"brotli", "fpzip", "pcodec", "pyppmd"}  # of the benchmarks, optional
 OUTSIDE = {
     "core": {"jax", "equinox", "numpy", "scipy", "jaxtyping"},
-    "codecs": {"jax", "equinox", "numpy", "scipy", "jaxtyping", "constriction", "safetensors", "zstandard"},
+    "codecs": {"jax", "equinox", "numpy", "scipy", "jaxtyping", "constriction", "safetensors", "threadpoolctl", "zstandard"},
     "training": {"jax", "equinox", "numpy", "scipy", "jaxtyping", "safetensors", "optax", "matplotlib"},
     "top": {"jax", "equinox", "numpy", "scipy", "jaxtyping", "matplotlib", "tyro", "tqdm", "zstandard", *PEERS},
 }

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import equinox as eqx
 import numpy as np
 from jaxtyping import Float32, Int, Int8
+from threadpoolctl import threadpool_limits
 
 from ..segmentation.forest import Forest, build_forest
 from ..segmentation.neighbours import radius_neighbours
@@ -128,6 +129,7 @@ class Mrpa(AbstractNumberCodec):
 
     patterns: Patterns = Patterns()
 
+    @threadpool_limits.wrap(limits=1)  # the last bits of a BLAS depend on its threads, and archives must not
     def encode(self, tables: Sequence[NumberTable]) -> tuple[bytes, list[bytes]]:
         return number_groups.encode(tables, self._encode_group)
 

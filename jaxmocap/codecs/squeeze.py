@@ -30,7 +30,8 @@ def expand(data: bytes, size: int, dictionary: bytes = b"") -> bytes:
         raise CorruptStream(f"{len(data)} compressed bytes cannot hold {size}")
     decompressor = zstandard.ZstdDecompressor(dict_data=_raw(dictionary), format=zstandard.FORMAT_ZSTD1_MAGICLESS)
     try:
-        found = decompressor.decompress(data, max_output_size=size)
+        with decompressor.stream_reader(data) as stream:  # which, unlike `decompress`, trusts no size in the data
+            found = stream.read(size + 1)
     except zstandard.ZstdError as error:
         raise CorruptStream(f"compressed bytes are damaged: {error}") from error
     if len(found) != size:

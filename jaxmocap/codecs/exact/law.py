@@ -26,9 +26,17 @@ class Joint:
 class AbstractLaw(abc.ABC):
     """Gives `targets` from `inputs` (columns of the table)."""
 
-    targets: tuple[int, ...]
-    inputs: tuple[int, ...]
     smooth: bool = False  # what it leaves moves on like a column, instead of being mere rounding
+
+    @property
+    @abc.abstractmethod
+    def targets(self) -> tuple[int, ...]:
+        """The columns that it gives."""
+
+    @property
+    @abc.abstractmethod
+    def inputs(self) -> tuple[int, ...]:
+        """The columns that it has to know."""
 
     @property
     @abc.abstractmethod

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int32
 from .bends import Bent, bend_terms, bone, bones
 from .law import AbstractLaw, Angles, Joint
 from .laws import Aimed, Constrained, residuals, wrapped
-from .polynomials import COEFFICIENT_BITS, TERM_BITS, Polynomial, monomials
+from .polynomials import COEFFICIENT_BITS, REACH, TERM_BITS, Polynomial, monomials
 from .trigonometry import sine_cosine
 
 Table = Int32[np.ndarray, "frames columns"]
@@ -200,7 +200,9 @@ def _polynomial(now: Table, after: Table, targets: tuple[int, ...], inputs: tupl
             gram += 1e-10 * np.trace(gram) * np.eye(len(gram))
             found = np.linalg.solve(gram, (steps * weights[:, None]).T @ step + _ANCHOR * terms.T @ now[:, c])
             weights = 1 / np.maximum(np.abs(step - steps @ found), 1.0)
-        solved.append(np.rint(found * (1 << COEFFICIENT_BITS)))
+        whole = np.rint(found * (1 << COEFFICIENT_BITS))
+        exact = np.abs(whole).sum() * one * REACH**_DEGREE < 2.0**53  # the sums that doubles hold
+        solved.append(whole if exact else np.zeros_like(whole))
     return Polynomial(targets, inputs, scales, _DEGREE, np.stack(solved, 1))
 
 

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from .law import AbstractLaw, Angles
 
 TERM_BITS, COEFFICIENT_BITS = 20, 4
-_REACH = 1.5
+REACH = 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,25 +24,33 @@ class Polynomial(AbstractLaw):
     degrees) that becomes 1; `coefficients[term, target]` in 2^-COEFFICIENT_BITS of 1e-4 degrees, for the terms of `monomials`.
     """
 
-    targets: tuple[int, ...]
-    inputs: tuple[int, ...]
+    outputs: tuple[int, ...]
+    variables: tuple[int, ...]
     scales: tuple[int, ...]
     degree: int
     coefficients: Float[np.ndarray, "terms targets"]
     smooth: bool = True
 
     @property
+    def targets(self) -> tuple[int, ...]:
+        return self.outputs
+
+    @property
+    def inputs(self) -> tuple[int, ...]:
+        return self.variables
+
+    @property
     def numbers(self) -> tuple[float, ...]:
         return tuple(self.coefficients.ravel().tolist())
 
     def with_numbers(self, numbers: Sequence[float]) -> Polynomial:
-        return replace(self, coefficients=np.array(numbers).reshape(-1, len(self.targets)))
+        return replace(self, coefficients=np.array(numbers).reshape(-1, len(self.outputs)))
 
     def spec(self) -> dict[str, object]:
-        return {"targets": self.targets, "inputs": self.inputs, "scales": self.scales, "degree": self.degree}
+        return {"targets": self.outputs, "inputs": self.variables, "scales": self.scales, "degree": self.degree}
 
     def predict(self, angles: Float[np.ndarray, "columns frames"]) -> list[Angles]:
-        terms = monomials(angles[list(self.inputs)], self.scales, self.degree)
+        terms = monomials(angles[list(self.variables)], self.scales, self.degree)
         return list(self.coefficients.T @ terms / (1 << TERM_BITS + COEFFICIENT_BITS))
 
 
@@ -62,9 +70,9 @@ def recipe(variables: int, degree: int) -> tuple[tuple[int, int], ...]:
 def monomials(
     angles: Float[np.ndarray, "inputs frames"], scales: Sequence[int], degree: int
 ) -> Float[np.ndarray, "terms frames"]:
-    """Whole numbers of 2^-TERM_BITS; an angle beyond _REACH scales counts as that."""
+    """Whole numbers of 2^-TERM_BITS; an angle beyond REACH scales counts as that."""
     one = float(1 << TERM_BITS)
-    units = np.clip(angles / np.array(scales, np.float64)[:, None], -_REACH, _REACH)
+    units = np.clip(angles / np.array(scales, np.float64)[:, None], -REACH, REACH)
     steps = recipe(len(scales), degree)
     terms = np.empty((1 + len(steps), angles.shape[1]))
     terms[0] = one

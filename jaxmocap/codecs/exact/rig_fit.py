@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Int32
+from threadpoolctl import threadpool_limits
 
 from ..lossless import NumberTable
 from . import signs
@@ -15,6 +16,7 @@ from .laws import AbstractLaw
 from .model import RigModel, is_angle
 from .tables import Exceptions, to_lanes
 
+_ONE_THREAD = threadpool_limits.wrap(limits=1)  # the last bits of a BLAS depend on its threads, and archives must not
 _ALIKE = 0.8  # of the files begin with the same pose, or keep a column constant
 
 
@@ -28,6 +30,7 @@ def fit_rig(tables: Sequence[NumberTable]) -> RigModel:
     return learned_rig(tables, fit_laws(tables))
 
 
+@_ONE_THREAD
 def fit_laws(tables: Sequence[NumberTable]) -> tuple[AbstractLaw, ...]:
     """The laws of the rig, in an order in which all their inputs are known."""
     columns, decimals = tables[0].columns, tables[0].decimals
@@ -36,6 +39,7 @@ def fit_laws(tables: Sequence[NumberTable]) -> tuple[AbstractLaw, ...]:
     return tuple(causal([*geometry, *fit_chains(bodies, columns, geometry)]))
 
 
+@_ONE_THREAD
 def learned_rig(tables: Sequence[NumberTable], laws: tuple[AbstractLaw, ...], header: bytes = b"") -> RigModel:
     """The model of a rig whose laws are known; `header` is text that its files share."""
     return _rig(tables, laws, learn=True, header=header)
