@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from jaxmocap.codecs.archive import HEAD_BYTES, Record, Shared, blob, is_archive, read_archive, write_archive
-from jaxmocap.codecs.archive_index import BLOB, FOLDER, NUMBERS, check_name, checksum
-from jaxmocap.codecs.crc import mended
+from jaxmocap.codecs.archive.container import HEAD_BYTES, Record, Shared, blob, is_archive, read_archive, write_archive
+from jaxmocap.codecs.archive.crc import mended
+from jaxmocap.codecs.archive.index import BLOB, FOLDER, NUMBERS, check_name, checksum
 from jaxmocap.codecs.squeeze import expand, squeeze
 from jaxmocap.errors import CorruptStream, JaxmocapError, TruncatedStream, UnsupportedVersion
 

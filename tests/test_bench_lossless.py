@@ -15,9 +15,9 @@ from jaxmocap.__main__ import run
 from jaxmocap.bench import lossless, lossless_report
 from jaxmocap.bench.lossless_folder import Folder, one_core, read_folder
 from jaxmocap.bench.lossless_peers import NUMBERS, TEXT
+from jaxmocap.codecs.archive.packing import pack
 from jaxmocap.codecs.lossless import AbstractNumberCodec, NumberTable
-from jaxmocap.codecs.mrpa import Mrpa
-from jaxmocap.codecs.packing import pack
+from jaxmocap.codecs.mrpa.codec import Mrpa
 from jaxmocap.formats import write_motion
 from jaxmocap.synthesis import walk
 

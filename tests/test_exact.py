@@ -11,9 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from jaxmocap.codecs.archive.database import Database
+from jaxmocap.codecs.archive.packing import pack
 from jaxmocap.codecs.artifact import load_artifact
 from jaxmocap.codecs.bitstream import ByteReader, varint
-from jaxmocap.codecs.database import Database
 from jaxmocap.codecs.exact import Exact, lanes, signs
 from jaxmocap.codecs.exact.fit import fit_lanes, untrained
 from jaxmocap.codecs.exact.model import RigModel, from_artifact, to_artifact
@@ -21,7 +22,6 @@ from jaxmocap.codecs.exact.rig_fit import fit_rig, plain_rig
 from jaxmocap.codecs.exact.tables import decode_tables, encode_table
 from jaxmocap.codecs.exact.wave import LaneModel
 from jaxmocap.codecs.lossless import NumberTable
-from jaxmocap.codecs.packing import pack
 from jaxmocap.errors import CorruptStream, FormatError, ModelMismatch
 from jaxmocap.formats import write_motion
 from jaxmocap.synthesis import walk

@@ -6,14 +6,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxmocap.codecs import float_coding, float_tables
-from jaxmocap.codecs.alpha_parallelogram import App
 from jaxmocap.codecs.bitstream import ByteReader
 from jaxmocap.codecs.entropy import lanes
-from jaxmocap.codecs.float_coding import FIRST_SCALE, Floats, Stream
-from jaxmocap.codecs.forest_index import Links, pack_links, read_links
 from jaxmocap.codecs.lossless import NumberTable
-from jaxmocap.codecs.mrpa import Mrpa, PathSegmentation, Patterns, analyse, joint_angles
+from jaxmocap.codecs.mrpa import float_coding, float_tables
+from jaxmocap.codecs.mrpa.alpha_parallelogram import App
+from jaxmocap.codecs.mrpa.codec import Mrpa, PathSegmentation, Patterns, analyse, joint_angles
+from jaxmocap.codecs.mrpa.float_coding import FIRST_SCALE, Floats, Stream
+from jaxmocap.codecs.mrpa.forest_index import Links, pack_links, read_links
 from jaxmocap.errors import CorruptStream
 
 COLUMNS = ("Hips Xposition", "Hips Zrotation", "Hips Yrotation", "LeftFoot Zrotation", "LeftArm Xrotation")

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from jaxmocap.codecs.alpha_parallelogram import App
-from jaxmocap.codecs.database import NUMBER_CODECS, resolved_model
+from jaxmocap.codecs.archive.database import NUMBER_CODECS, resolved_model
 from jaxmocap.codecs.exact import Exact
 from jaxmocap.codecs.lossless import AbstractNumberCodec, NumberTable
-from jaxmocap.codecs.mrpa import Mrpa, PathSegmentation, Patterns
-from jaxmocap.codecs.number_text import parse_numbers
+from jaxmocap.codecs.mrpa.alpha_parallelogram import App
+from jaxmocap.codecs.mrpa.codec import Mrpa, PathSegmentation, Patterns
+from jaxmocap.codecs.number_text.text import parse_numbers
 from jaxmocap.errors import CorruptStream
 from jaxmocap.formats.bvh import format_bvh
 from jaxmocap.synthesis import walk

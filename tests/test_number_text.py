@@ -7,7 +7,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from jaxmocap.codecs.number_text import NumberText, format_numbers, parse_numbers
+from jaxmocap.codecs.number_text.text import NumberText, format_numbers, parse_numbers
 from jaxmocap.errors import CorruptStream, JaxmocapError
 from jaxmocap.formats import read_motion
 

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from jaxmocap.__main__ import run
-from jaxmocap.codecs.archive import Record, Shared, read_archive, write_archive
-from jaxmocap.codecs.archive_index import BLOB, checksum
+from jaxmocap.codecs.archive.container import Record, Shared, read_archive, write_archive
+from jaxmocap.codecs.archive.database import NUMBER_CODECS, Database
+from jaxmocap.codecs.archive.index import BLOB, checksum
+from jaxmocap.codecs.archive.packing import find_files, pack
 from jaxmocap.codecs.bitstream import ByteReader, varint
-from jaxmocap.codecs.database import NUMBER_CODECS, Database
 from jaxmocap.codecs.lossless import AbstractNumberCodec, NumberTable
-from jaxmocap.codecs.packing import find_files, pack
 from jaxmocap.codecs.squeeze import expand, squeeze
 from jaxmocap.errors import CorruptStream, FormatError, JaxmocapError
 from jaxmocap.formats import write_motion

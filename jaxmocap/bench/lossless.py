@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ..codecs.archive import read_archive
-from ..codecs.archive_index import NUMBERS as NUMBER_KIND
+from ..codecs.archive.container import read_archive
+from ..codecs.archive.database import Database
+from ..codecs.archive.index import NUMBERS as NUMBER_KIND
+from ..codecs.archive.packing import pack
 from ..codecs.container import DIGEST_BYTES
-from ..codecs.database import Database
 from ..codecs.lossless import AbstractNumberCodec, NumberTable
-from ..codecs.mrpa import Mrpa, Patterns, SomSegmentation, analyse
-from ..codecs.packing import pack
+from ..codecs.mrpa.codec import Mrpa, Patterns, SomSegmentation, analyse
 from ..training.corpus import Corpus
 from ..training.exact import train_exact
 from .lossless_folder import Folder, timed

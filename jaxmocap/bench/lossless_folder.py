@@ -13,9 +13,9 @@ from typing import TypeVar
 import numpy as np
 from jaxtyping import Int32
 
+from ..codecs.archive.packing import find_files
 from ..codecs.lossless import NumberTable
-from ..codecs.number_text import parse_numbers
-from ..codecs.packing import find_files
+from ..codecs.number_text.text import parse_numbers
 
 T = TypeVar("T")
 

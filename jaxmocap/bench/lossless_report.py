@@ -7,11 +7,11 @@ import json
 import sys
 from pathlib import Path
 
-from ..codecs.alpha_parallelogram import App
-from ..codecs.database import NUMBER_CODECS, resolved_model
+from ..codecs.archive.database import NUMBER_CODECS, resolved_model
 from ..codecs.exact.codec import Exact
 from ..codecs.lossless import AbstractNumberCodec
-from ..codecs.mrpa import Mrpa, PathSegmentation, Patterns
+from ..codecs.mrpa.alpha_parallelogram import App
+from ..codecs.mrpa.codec import Mrpa, PathSegmentation, Patterns
 from . import lossless
 from .lossless_folder import Folder, one_core, read_folder
 

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING
 from ..errors import JaxmocapError
 
 if TYPE_CHECKING:
+    from ..codecs.archive.database import Database
     from ..codecs.artifact import Artifact
-    from ..codecs.database import Database
 
 
 def open_database(path: Path, model: Artifact | None = None) -> Database:
     """The database of a file; what was mended in it is said on stderr. Errors name the file."""
-    from ..codecs.database import Database
+    from ..codecs.archive.database import Database
 
     try:
         database = Database.open(path, model)

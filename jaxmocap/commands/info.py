@@ -22,7 +22,7 @@ class Info(Command):
     """The model that a stream needs, where it is neither shipped nor embedded."""
 
     def run(self) -> Report:
-        from ..codecs.archive import HEAD_BYTES, is_archive
+        from ..codecs.archive.container import HEAD_BYTES, is_archive
         from ..codecs.container import SUFFIX
 
         suffix = self.input.suffix.lower()
@@ -62,8 +62,8 @@ class Info(Command):
         return {**report, **_described(one), "frames": header.frames, "seconds": header.frames * one.frame_time}
 
     def _database(self) -> Report:
-        from ..codecs.archive import VERSION
-        from ..codecs.archive_index import BLOB, NUMBERS
+        from ..codecs.archive.container import VERSION
+        from ..codecs.archive.index import BLOB, NUMBERS
         from ..codecs.container import DIGEST_BYTES
 
         archive = open_database(self.input).archive

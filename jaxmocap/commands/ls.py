@@ -16,7 +16,7 @@ class Ls(Command):
     """A database."""
 
     def run(self) -> Report:
-        from ..codecs.archive_index import FOLDER, KINDS, NUMBERS
+        from ..codecs.archive.index import FOLDER, KINDS, NUMBERS
 
         archive = open_database(self.input).archive
         text_bytes = sum(entry.size for entry in archive.entries)
@@ -33,7 +33,7 @@ class Ls(Command):
         }
 
     def text(self, report: Report) -> str:
-        from ..codecs.archive_index import shown
+        from ..codecs.archive.index import shown
 
         entries = report["entries"]
         assert isinstance(entries, list)

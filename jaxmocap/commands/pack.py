@@ -24,7 +24,7 @@ class Pack(Command):
     """A trained model, which then travels in the database. Default: the one shipped for the codec, if any."""
 
     def run(self) -> Report:
-        from ..codecs.packing import find_files, pack
+        from ..codecs.archive.packing import find_files, pack
         from ..formats.text import write_bytes
 
         one_core()

@@ -28,8 +28,8 @@ class Unpack(Command):
     """The model that the database needs, where it is neither shipped nor embedded."""
 
     def run(self) -> Report:
-        from ..codecs.archive_index import FOLDER, shown
-        from ..codecs.unpacking import chosen, unpack
+        from ..codecs.archive.index import FOLDER, shown
+        from ..codecs.archive.unpacking import chosen, unpack
 
         one_core()
         began = time.perf_counter()

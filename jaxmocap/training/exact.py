@@ -14,7 +14,7 @@ from ..codecs.exact.model import RigModel, to_artifact
 from ..codecs.exact.rig_fit import fit_laws, learned_rig
 from ..codecs.exact.tables import Exceptions, to_lanes
 from ..codecs.lossless import NumberTable
-from ..codecs.number_text import NumberText, parse_numbers
+from ..codecs.number_text.text import NumberText, parse_numbers
 from ..errors import FormatError
 from .corpus import Corpus
 from .loop import Stage, State, run

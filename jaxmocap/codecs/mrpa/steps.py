@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Bool, Float32, Int8, Int32
 
-from ..segmentation.forest import Forest
+from ...segmentation.forest import Forest
 from . import float_streams
 from .float_streams import ORDER, Steps, expected_step
 from .forest_index import SHARES, Links, without_loners

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Int
 
-from ..formats.text import token_spans
+from ...formats.text import token_spans
 
 _BVH = re.compile(rb"(?:\xef\xbb\xbf)?\s*HIERARCHY\s", re.IGNORECASE)
 _FRAMES = re.compile(rb"Frames\s*:[ \t]*(\d{1,9})(?!\S)", re.IGNORECASE)

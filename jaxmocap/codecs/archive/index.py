@@ -8,9 +8,9 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from ..errors import CorruptStream
-from .bitstream import ByteReader, varint
-from .squeeze import expand, squeeze
+from ...errors import CorruptStream
+from ..bitstream import ByteReader, varint
+from ..squeeze import expand, squeeze
 
 FOLDER, BLOB, NUMBERS = 0, 1, 2  # kinds; a template's number is added to the last
 KINDS = ("folder", "blob", "numbers")

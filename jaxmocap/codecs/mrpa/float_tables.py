@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Int, UInt8, UInt32
 
-from ..errors import CorruptStream
-from .bitstream import ByteReader, varint
-from .entropy.lanes import TOTAL
-from .entropy.range_coder import RangeDecoder, RangeEncoder
-from .entropy.tables import FrequencyTable
+from ...errors import CorruptStream
+from ..bitstream import ByteReader, varint
+from ..entropy.lanes import TOTAL
+from ..entropy.range_coder import RangeDecoder, RangeEncoder
+from ..entropy.tables import FrequencyTable
 from .float_coding import CLASS_CONTEXTS, CLASSES, MANTISSA_CONTEXTS, TOKENS, Symbols, Tables
 
 _LEVELS = 72  # 0: never; then quarter octaves of frequency

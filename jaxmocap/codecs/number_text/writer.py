@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import CorruptStream
-from .lossless import NumberTable
-from .number_format import counters, fields
-from .number_layout import Layout
-from .number_rule import FIXED, TRIMMED, NumberRule
+from ...errors import CorruptStream
+from ..lossless import NumberTable
+from .digits import counters, fields
+from .layout import Layout
+from .rule import FIXED, TRIMMED, NumberRule
 
 _BLOCK = 1 << 14  # numbers written at a time: small enough that their digits stay in the cache
 # In a template: how many rows there are, a number, the number of the row, and the end of the header.

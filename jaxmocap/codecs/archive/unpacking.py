@@ -6,10 +6,10 @@ import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from ..errors import CorruptStream, FormatError, JaxmocapError
-from ..formats.text import write_bytes
-from .archive_index import EXECUTABLE, FOLDER, READ_ONLY, Entry, check_name, checksum
+from ...errors import CorruptStream, FormatError, JaxmocapError
+from ...formats.text import write_bytes
 from .database import Database, File
+from .index import EXECUTABLE, FOLDER, READ_ONLY, Entry, check_name, checksum
 
 
 def unpack(database: Database, folder: Path, entries: Sequence[Entry]) -> Iterator[File]:

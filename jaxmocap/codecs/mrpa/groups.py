@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import CorruptStream
-from .bitstream import ByteReader, varint
+from ...errors import CorruptStream
+from ..bitstream import ByteReader, varint
+from ..lossless import NumberTable
 from .float_coding import LIMIT, Floats
-from .lossless import NumberTable
 
 
 @dataclass(frozen=True)

@@ -15,18 +15,19 @@ import numpy as np
 from jaxtyping import Float32, Int, Int8
 from threadpoolctl import threadpool_limits
 
-from ..segmentation.forest import Forest, build_forest
-from ..segmentation.neighbours import radius_neighbours
-from ..segmentation.paths import Paths, grow_paths
-from ..segmentation.som import som_segments
-from . import float_streams, float_tables, number_groups
-from .bitstream import ByteReader
+from ...segmentation.forest import Forest, build_forest
+from ...segmentation.neighbours import radius_neighbours
+from ...segmentation.paths import Paths, grow_paths
+from ...segmentation.som import som_segments
+from ..bitstream import ByteReader
+from ..lossless import AbstractNumberCodec, NumberTable
+from . import float_streams, float_tables
+from . import groups as number_groups
 from .float_coding import Floats, Tables, no_floats
 from .float_streams import CHUNK, ORDER, TableDecoder, expected_step, last_steps, own_steps
 from .forest_index import Links, pack_links, read_links
-from .lossless import AbstractNumberCodec, NumberTable
-from .mrpa_steps import choose_links, first_frames, fit_coefficients, inner_frames, steps
-from .number_groups import Group
+from .groups import Group
+from .steps import choose_links, first_frames, fit_coefficients, inner_frames, steps
 
 _MINOR = ("toe", "foot", "finger", "hand", "thumb", "wrist", "clavicle")
 _IMPORTANT_WEIGHT, _MINOR_WEIGHT = 0.7, 0.3

@@ -10,11 +10,11 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Int8, Int32, UInt8, UInt16, UInt32
 
-from ..errors import CorruptStream, TruncatedStream
+from ...errors import CorruptStream, TruncatedStream
+from ..bitstream import ByteReader, varint
+from ..entropy import lanes
+from ..entropy.lanes import Decoding
 from . import float_coding
-from .bitstream import ByteReader, varint
-from .entropy import lanes
-from .entropy.lanes import Decoding
 from .float_coding import EXPONENTS, FIRST_SCALE, LIMIT, Floats, Stream, Symbols, Tables
 
 CHUNK = 512  # frames decoded in one compiled call

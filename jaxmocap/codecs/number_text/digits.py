@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import UInt, UInt8
 
-from .number_rule import FIXED, Decimal, NumberRule, Numbers, join
+from .rule import FIXED, Decimal, NumberRule, Numbers, join
 
 _FOUR = np.array([b"%04d" % n for n in range(10_000)])
 _LEADING = np.array([(b"%d" % n).rjust(4, b"\0") for n in range(10_000)])  # without zeros in front

@@ -8,16 +8,16 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float
 
-from ..errors import FormatError
-from ..formats import text as motion_text
-from .lossless import NumberTable
-from .number_format import fields
-from .number_layout import Layout
-from .number_rule import FIXED, GENERAL, LARGEST, MAX_DECIMALS, MAX_SIGNIFICANT, TRIMMED, NumberRule, Numbers, split
-from .number_scan import Rows, find_rows
-from .number_writer import COUNT, COUNTER, END, NUMBER, Template, Writer
-from .number_writer import NumberText as NumberText
-from .number_writer import format_numbers as format_numbers
+from ...errors import FormatError
+from ...formats import text as motion_text
+from ..lossless import NumberTable
+from .digits import fields
+from .layout import Layout
+from .rule import FIXED, GENERAL, LARGEST, MAX_DECIMALS, MAX_SIGNIFICANT, TRIMMED, NumberRule, Numbers, split
+from .scan import Rows, find_rows
+from .writer import COUNT, COUNTER, END, NUMBER, Template, Writer
+from .writer import NumberText as NumberText
+from .writer import format_numbers as format_numbers
 
 _SAMPLE = 24  # rows by which a rule is chosen
 _DECIMAL = re.compile(rb"-?(\d+)(?:\.(\d+))?(?:e[+-](\d+))?")

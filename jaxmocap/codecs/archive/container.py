@@ -12,11 +12,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import accumulate
 
-from ..errors import CorruptStream, TruncatedStream, UnsupportedVersion
-from .archive_index import BLOB, NUMBERS, Entry, encoded, pack_entries, shown, unpack_entries
-from .bitstream import ByteReader, varint
+from ...errors import CorruptStream, TruncatedStream, UnsupportedVersion
+from ..bitstream import ByteReader, varint
+from ..squeeze import expand, squeeze
 from .crc import mended
-from .squeeze import expand, squeeze
+from .index import BLOB, NUMBERS, Entry, encoded, pack_entries, shown, unpack_entries
 
 MAGIC = b"JMD"
 VERSION = 1

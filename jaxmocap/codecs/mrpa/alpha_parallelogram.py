@@ -12,14 +12,15 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Int, Int32
 
-from ..errors import CorruptStream
-from . import float_streams, float_tables, number_groups
-from .bitstream import ByteReader, varint
+from ...errors import CorruptStream
+from ..bitstream import ByteReader, varint
+from ..lossless import AbstractNumberCodec, NumberTable
+from . import float_streams, float_tables
+from . import groups as number_groups
 from .float_coding import Floats, Tables, no_floats
 from .float_streams import CHUNK, ORDER, Steps, TableDecoder, inner_frames, own_steps
-from .lossless import AbstractNumberCodec, NumberTable
-from .mrpa_steps import cost
-from .number_groups import Group
+from .groups import Group
+from .steps import cost
 
 ALPHAS = np.arange(-16, 17)  # eighths
 _STILL = 16  # where alpha is 0

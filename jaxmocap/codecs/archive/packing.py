@@ -8,12 +8,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..errors import FormatError
-from .archive import Record, Shared, read_archive, write_archive
-from .archive_index import BLOB, EXECUTABLE, FOLDER, NUMBERS, READ_ONLY, check_name, checksum, encoded
-from .artifact import Artifact
+from ...errors import FormatError
+from ..artifact import Artifact
+from ..number_text.text import NumberText, parse_numbers
+from .container import Record, Shared, read_archive, write_archive
 from .database import DEFAULT, NUMBER_CODECS, Database, dictionary_of, resolved_model, stored_model
-from .number_text import NumberText, parse_numbers
+from .index import BLOB, EXECUTABLE, FOLDER, NUMBERS, READ_ONLY, check_name, checksum, encoded
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Int, Int64, UInt64
 
-from ..errors import CorruptStream
-from .bitstream import ByteReader, varint
-from .lossless import NumberTable
-from .number_rule import POWERS, NumberRule, Numbers, extra_counts
-from .squeeze import expand, squeeze
+from ...errors import CorruptStream
+from ..bitstream import ByteReader, varint
+from ..lossless import NumberTable
+from ..squeeze import expand, squeeze
+from .rule import POWERS, NumberRule, Numbers, extra_counts
 
 _PACK = 12  # digits in 5 bytes: 10^12 < 2^40
 _SAMPLE = 256  # rows by which a column chooses what to follow

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Int, UInt8
 
-from ..errors import CorruptStream
-from .bitstream import ByteReader, varint
-from .entropy.range_coder import RangeDecoder, RangeEncoder
-from .entropy.tables import FrequencyTable
+from ...errors import CorruptStream
+from ..bitstream import ByteReader, varint
+from ..entropy.range_coder import RangeDecoder, RangeEncoder
+from ..entropy.tables import FrequencyTable
 
 SHARES = np.array([0, 1, 2, 4, 8], np.uint8)  # eighths of a parent's step that a channel may take
 

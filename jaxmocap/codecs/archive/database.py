@@ -10,15 +10,15 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from ..errors import CorruptStream, FormatError, JaxmocapError, UnsupportedVersion
-from .archive import Archive, blob, read_archive
-from .archive_index import FOLDER, NUMBERS, Entry, checksum, shown
-from .artifact import Artifact, find_artifact, load_artifact, parse_artifact, shipped_models
-from .container import DIGEST_BYTES
-from .exact import Exact
-from .lossless import AbstractNumberCodec
-from .mrpa import Mrpa
-from .number_text import NumberText, format_numbers
+from ...errors import CorruptStream, FormatError, JaxmocapError, UnsupportedVersion
+from ..artifact import Artifact, find_artifact, load_artifact, parse_artifact, shipped_models
+from ..container import DIGEST_BYTES
+from ..exact import Exact
+from ..lossless import AbstractNumberCodec
+from ..mrpa.codec import Mrpa
+from ..number_text.text import NumberText, format_numbers
+from .container import Archive, blob, read_archive
+from .index import FOLDER, NUMBERS, Entry, checksum, shown
 
 # Registering a number codec is what has it tested: tests/test_pack.py runs over this table. A codec is made with its model,
 # which is None where no model is given and none is shipped under its id.

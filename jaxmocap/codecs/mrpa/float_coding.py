@@ -16,8 +16,8 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Bool, Int32, UInt8, UInt32
 
-from .entropy import lanes
-from .entropy.lanes import Decoding
+from ..entropy import lanes
+from ..entropy.lanes import Decoding
 
 LIMIT = (1 << 23) - 1  # the largest magnitude that is coded
 FIRST_SCALE = 16 << 8
