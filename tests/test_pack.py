@@ -1,5 +1,6 @@
 """Databases: any folder goes in, every file comes out, from the library and from the shell."""
 
+import hashlib
 import json
 import os
 import random
@@ -16,6 +17,7 @@ from jaxmocap.codecs.archive.container import Record, Shared, read_archive, writ
 from jaxmocap.codecs.archive.database import NUMBER_CODECS, Database
 from jaxmocap.codecs.archive.index import BLOB, checksum
 from jaxmocap.codecs.archive.packing import find_files, pack
+from jaxmocap.codecs.artifact import load_artifact
 from jaxmocap.codecs.bitstream import ByteReader, varint
 from jaxmocap.codecs.lossless import AbstractNumberCodec, NumberTable
 from jaxmocap.codecs.squeeze import expand, squeeze
@@ -307,3 +309,13 @@ def test_real_subjects(data_dir: Path, tmp_path: Path, codec: str, name: str):
     archive = read_archive(packed.data)
     assert packed.text_bytes > 4 * len(packed.data)
     assert archive.section_bytes()["index"] < 60 + 30 * packed.files
+
+
+@pytest.mark.parametrize("codec", ["exact", "mrpa"])
+def test_golden_databases_decode_for_ever(codec: str):
+    golden = Path(__file__).parent / "golden"
+    model = load_artifact(golden / "exact-2f5999c8.safetensors") if codec == "exact" else None
+    database = Database.open(golden / f"database-{codec}.jmc", model)
+    found = {name: hashlib.sha256(database.read(name)).hexdigest() for name in database.names()}
+    assert found == json.loads((golden / f"database-{codec}.json").read_text())
+    assert codec != "exact" or database.archive.shared.model == bytes.fromhex("2f5999c8")
