@@ -12,6 +12,9 @@ from .errors import JaxmocapError
 
 def main() -> None:
     """Exits 0, with 2 and one line on stderr for bad input, or with 1 for a bug."""
+    if sys.argv[1:2] in (["pack"], ["unpack"]):
+        # Their steps are small: XLA would spend more on handing them to its threads than the threads save.
+        os.environ.setdefault("NPROC", "1")
     sys.exit(run(sys.argv[1:]))
 
 

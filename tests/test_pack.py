@@ -313,7 +313,7 @@ def test_real_subjects(data_dir: Path, tmp_path: Path, codec: str, name: str):
 
 @pytest.mark.parametrize("codec", ["exact", "mrpa"])
 def test_golden_databases_decode_for_ever(codec: str):
-    golden = Path(__file__).parent / "golden"
+    golden = Path(__file__).parent / "golden" / "databases"
     model = load_artifact(golden / "exact-2f5999c8.safetensors") if codec == "exact" else None
     database = Database.open(golden / f"database-{codec}.jmc", model)
     found = {name: hashlib.sha256(database.read(name)).hexdigest() for name in database.names()}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -27,14 +26,6 @@ def open_database(path: Path, model: Artifact | None = None) -> Database:
     for notice in database.archive.notices:
         print(f"jaxmocap: {path}: {notice}", file=sys.stderr)
     return database
-
-
-def one_core() -> None:
-    """Keeps XLA to one core where nobody said otherwise: handing its many small steps to threads costs more than they do.
-
-    To be called before JAX first computes.
-    """
-    os.environ.setdefault("NPROC", "1")
 
 
 @contextmanager

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from .base import Command, Input, Output, Report, load_model, table
-from .database import file_progress, one_core
+from .database import file_progress
 
 
 @dataclass(kw_only=True)
@@ -27,7 +27,6 @@ class Pack(Command):
         from ..codecs.archive.packing import find_files, pack
         from ..formats.text import write_bytes
 
-        one_core()
         began = time.perf_counter()
         files = find_files(self.input, leave_out=self.output)
         with file_progress(2 * len(files)) as done:

@@ -11,7 +11,7 @@ import tyro
 
 from ..errors import CorruptStream, JaxmocapError
 from .base import Command, Input, Output, Report, load_model, table
-from .database import file_progress, one_core, open_database
+from .database import file_progress, open_database
 
 
 @dataclass(kw_only=True)
@@ -31,7 +31,6 @@ class Unpack(Command):
         from ..codecs.archive.index import FOLDER, shown
         from ..codecs.archive.unpacking import chosen, unpack
 
-        one_core()
         began = time.perf_counter()
         database = open_database(self.input, load_model(self.model))
         damaged, files, frames, size = [], 0, 0, 0

@@ -53,8 +53,8 @@ def _rig(tables: Sequence[NumberTable], laws: tuple[AbstractLaw, ...], learn: bo
     steady = np.stack([(b == b[0]).all(0) & (b[0] == bodies[0][0]) for b in bodies]).mean(0) > _ALIKE
     mean = np.median(np.concatenate([b[:: max(len(b) // 200, 1)] for b in bodies]), axis=0)
     mean = np.where(steady, bodies[0][0], np.rint(mean)).astype(np.int32)
-    targets = {t for law in laws if not law.smooth for t in law.targets}
-    moving = tuple(c for c in range(len(columns)) if not steady[c] and c not in targets)
+    smooth, targets = ({t for law in laws if law.smooth == way for t in law.targets} for way in (True, False))
+    moving = tuple(c for c in range(len(columns)) if c in smooth or not (steady[c] or c in targets))
     usual = _usual_signs(tables)
     lanes = untrained(len(moving) + len(targets), len(moving))
     resting = np.zeros(len(columns), np.int32) if rest is None else rest
