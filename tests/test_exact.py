@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from jaxmocap.codecs.archive.database import Database
 from jaxmocap.codecs.archive.packing import pack
-from jaxmocap.codecs.artifact import load_artifact
+from jaxmocap.codecs.artifact import load_artifact, make_artifact, parse_artifact
 from jaxmocap.codecs.bitstream import ByteReader, varint
 from jaxmocap.codecs.exact import Exact, lanes, signs
 from jaxmocap.codecs.exact.fit import fit_lanes, untrained
@@ -346,6 +346,35 @@ def test_a_learned_rig_goes_through_its_artifact(figures: list[NumberTable], lea
     again = from_artifact(to_artifact(learned, "corpus"))
     assert encode_table(again, figures[1], False) == encode_table(learned, figures[1], False)
     assert to_artifact(again, "corpus").data == to_artifact(learned, "corpus").data
+
+
+def test_a_model_is_parsed_once(learned: RigModel):
+    data = to_artifact(learned, "corpus").data
+    assert from_artifact(parse_artifact(data, "one")) is from_artifact(parse_artifact(data, "two"))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"laws": [{"law": "spiral"}]}, "laws of the kind 'spiral' are not known"),
+        ({"laws": [{"law": "constrained"}]}, "KeyError\\('joint'\\)"),
+        ({"laws": [{"law": "polynomial", "targets": [0, 1, 2], "inputs": [3], "scales": [1], "degree": 1}]}, "reshape"),
+        ({"laws": None}, "TypeError"),
+        ({"columns": 8}, "TypeError"),
+        ({"codec": "newer"}, "for the codec 'newer'"),
+    ],
+)
+def test_a_model_of_another_make_is_refused(change: dict, message: str, learned: RigModel):
+    good = to_artifact(learned, "corpus")
+    with pytest.raises(FormatError, match=message):
+        from_artifact(make_artifact(good.spec | change, good.tensors))
+
+
+def test_a_model_without_a_tensor_is_refused(learned: RigModel):
+    good = to_artifact(learned, "corpus")
+    for name in good.tensors:
+        with pytest.raises(FormatError, match=f"KeyError\\('{name}'\\)"):
+            from_artifact(make_artifact(good.spec, {n: x for n, x in good.tensors.items() if n != name}))
 
 
 def test_plain_and_compiled_tables_are_the_same(figures: list[NumberTable], learned: RigModel):

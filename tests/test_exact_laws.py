@@ -198,6 +198,8 @@ def test_law_round_trips(law):
 def test_law_of_no_known_kind_is_refused():
     with pytest.raises(KeyError):
         law_from_spec({}, [])
+    with pytest.raises(ValueError, match="the kind 'spiral'"):
+        law_from_spec({"law": "spiral"}, [])
 
 
 def test_monomials_are_products():

@@ -25,6 +25,14 @@ class NumberTable:
     decimals: int
 
 
+def by_rig(tables: Sequence[NumberTable]) -> dict[tuple[tuple[str, ...], int], list[int]]:
+    """The numbers of the tables of each rig; a rig has its columns and decimals."""
+    rigs: dict[tuple[tuple[str, ...], int], list[int]] = {}
+    for n, table in enumerate(tables):
+        rigs.setdefault((table.columns, table.decimals), []).append(n)
+    return rigs
+
+
 class AbstractNumberCodec(eqx.Module):
     """A codec of number tables: what files share is coded once, and every table by itself.
 

@@ -12,7 +12,7 @@ from ..codecs.exact import lanes
 from ..codecs.exact.laws import AbstractLaw, law_from_spec, law_spec
 from ..codecs.exact.model import RigModel, to_artifact
 from ..codecs.exact.rig_fit import fit_laws, learned_rig
-from ..codecs.exact.tables import Exceptions, to_lanes
+from ..codecs.exact.tables import Exceptions, law_residuals, to_lanes
 from ..codecs.lossless import NumberTable
 from ..codecs.number_text.text import NumberText, parse_numbers
 from ..errors import FormatError
@@ -68,7 +68,9 @@ def _bits(model: RigModel, tables: list[NumberTable]) -> dict[str, float]:
     """The code lengths of every column's residuals, without the first two frames of a file."""
     total, frames = np.zeros(model.lanes.count), 0
     for table in tables:
-        cost = lanes.code_lengths(model.lanes, to_lanes(model, table.integers[1:], Exceptions()))[2:]
+        body = table.integers[1:]
+        values = to_lanes(model, body, law_residuals(model, body), Exceptions())
+        cost = lanes.code_lengths(model.lanes, values)[2:]
         total += cost.sum(0)
         frames += len(cost)
     names = [model.columns[c] for c in (*model.moving, *model.targets)]

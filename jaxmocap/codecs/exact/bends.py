@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -26,7 +27,7 @@ class Bent(AbstractLaw):
     degree: int
     least: float
     coefficients: Float[np.ndarray, "sheets 3 terms"]
-    smooth: bool = True
+    smooth: ClassVar[bool] = True
 
     @property
     def targets(self) -> tuple[int, ...]:

@@ -15,7 +15,7 @@ import numpy as np
 from ...errors import CorruptStream
 from ..artifact import Artifact, parse_artifact
 from ..bitstream import ByteReader, varint
-from ..lossless import AbstractNumberCodec, NumberTable
+from ..lossless import AbstractNumberCodec, NumberTable, by_rig
 from ..squeeze import expand, squeeze
 from .fit import SHORTEST
 from .lanes import worth_compiling
@@ -39,11 +39,9 @@ class Exact(AbstractNumberCodec):
         return b"" if self.artifact is None else from_artifact(self.artifact).header
 
     def encode(self, tables: Sequence[NumberTable]) -> tuple[bytes, list[bytes]]:
-        groups: dict[tuple[tuple[str, ...], int], list[int]] = {}
-        for n, table in enumerate(tables):
-            groups.setdefault((table.columns, table.decimals), []).append(n)
-        shared, payloads = varint(len(groups)), [b""] * len(tables)
-        for number, members in enumerate(groups.values()):
+        rigs = by_rig(tables)
+        shared, payloads = varint(len(rigs)), [b""] * len(tables)
+        for number, members in enumerate(rigs.values()):
             model_bytes, coded = self._encode_rig([tables[n] for n in members])
             shared += model_bytes
             for n, data in zip(members, coded, strict=True):
@@ -52,10 +50,10 @@ class Exact(AbstractNumberCodec):
 
     def _encode_rig(self, tables: list[NumberTable]) -> tuple[bytes, list[bytes]]:
         """The artifact's model where it fits, or else the cheapest of those that can be learned."""
-        teaching = sum(len(t.integers) for t in tables if len(t.integers) >= SHORTEST)
         if self.artifact is not None and (model := from_artifact(self.artifact)).fits(tables[0].columns, tables[0].decimals):
             return bytes([_GIVEN]), _encoded(model, tables)
         learned = [plain_rig(tables)]
+        teaching = sum(len(t.integers) for t in tables if len(t.integers) >= SHORTEST)
         if teaching >= _LEARNING_FRAMES:
             learned.append(fit_rig(tables))
         choices = []

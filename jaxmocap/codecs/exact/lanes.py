@@ -31,7 +31,7 @@ _EXTRA = np.append(_WIDTHS, 27).astype(np.int32)
 
 
 class Streams(NamedTuple):
-    """The coder's words and the raw bits, and how far they have been read."""
+    """What is read: the frequencies of the symbols, summed, the coder's words and the raw bits."""
 
     cumulative: Array | np.ndarray  # (classes, symbols + 1)
     words: Array | np.ndarray
@@ -39,6 +39,8 @@ class Streams(NamedTuple):
 
 
 class Reading(NamedTuple):
+    """What the lanes remember, and how far words and bits have been read."""
+
     wave: Wave
     coder: rans.Decoding
     bit: Array | np.ndarray
@@ -120,12 +122,17 @@ def code_lengths(model: LaneModel, values: Int32[np.ndarray, "frames lanes"]) ->
 def magnitude_bounds(scale_class: int) -> np.ndarray:
     """Where the symbols of a class begin, the escape's included, as magnitudes half a unit down."""
     begins = np.append(_BASES[:_ESCAPE], _BASES[_ESCAPE - 1] + (1 << _EXTRA[_ESCAPE - 1]))
-    return np.maximum((begins << max((scale_class >> 2) - 3, 0)) - 0.5, 0.0)
+    return np.maximum((begins << _shift(np, np.int32(scale_class))) - 0.5, 0.0)
+
+
+def _shift(xp: ModuleType, classes):
+    """The bins of a scale class are in units of 2^shift."""
+    return xp.maximum((classes >> 2) - np.int32(3), 0)
 
 
 def _symbols(residual: np.ndarray, classes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Symbol, raw bits and their number. The sign is the lowest raw bit; a zero that is its own symbol has none."""
-    shift = np.maximum((classes >> 2) - 3, 0)
+    shift = _shift(np, classes)
     magnitude = np.abs(residual)
     symbol = np.searchsorted(_BASES[:_ESCAPE], magnitude >> shift, "right") - 1
     escaped = magnitude >> shift >= _BASES[_ESCAPE - 1] + (1 << _EXTRA[_ESCAPE - 1])
@@ -177,7 +184,7 @@ def _read_step(xp: ModuleType, tables: Tables, streams: Streams, frames, state: 
     high = xp.take_along_axis(rows, symbol[:, None] + 1, 1)[:, 0]
     low = xp.where(active, low, np.uint32(0))
     high = xp.where(active, high, np.uint32(rans.TOTAL))
-    shift = xp.where(symbol == _ESCAPE, np.int32(0), xp.maximum((classes >> 2) - np.int32(3), 0))
+    shift = xp.where(symbol == _ESCAPE, np.int32(0), _shift(xp, classes))
     coder = rans.advance(xp, state.coder, streams.words, low, high - low)
     signed = active & ((symbol > 0) | (shift > 0))
     count = xp.where(signed, xp.asarray(_EXTRA)[symbol] + shift + 1, 0)
@@ -197,7 +204,7 @@ def _cumulative(model: LaneModel) -> np.ndarray:
 
 def _predict_plainly(model: LaneModel, changes: np.ndarray, frames: int):
     """All steps in NumPy: slow steps, but nothing to compile."""
-    tables, wave = waves.tables(np, model), waves.begin(np, model, _BLOCK)
+    tables, wave = waves.tables(model), waves.begin(model, _BLOCK)
     residual, classes = np.empty_like(changes), np.empty_like(changes)
     for n, change in enumerate(changes):
         wave = waves.turned(np, wave, _BLOCK) if n and n % _BLOCK == 0 else wave
@@ -207,7 +214,7 @@ def _predict_plainly(model: LaneModel, changes: np.ndarray, frames: int):
 
 def _predict_compiled(model: LaneModel, changes: np.ndarray, frames: int):
     """The steps by blocks of one size, so that one compilation serves all."""
-    tables, wave = waves.tables(np, model), waves.begin(np, model, _BLOCK)
+    tables, wave = waves.tables(model), waves.begin(model, _BLOCK)
     padded = np.concatenate([changes, np.zeros((-len(changes) % _BLOCK, changes.shape[1]), np.int32)])
     out = []
     for n in range(0, len(padded), _BLOCK):
@@ -226,11 +233,11 @@ def _predict_block(tables: Tables, frames, wave: Wave, begin, changes):
 
 
 def _read_plainly(model: LaneModel, states, words, bits, frames: int, steps: int):
-    tables = waves.tables(np, model)
+    tables = waves.tables(model)
     spare = np.zeros(model.count + 2, np.uint32)
     cumulative = _cumulative(model).astype(np.uint32)
     streams = Streams(cumulative, np.concatenate([words, spare]), np.concatenate([bits, spare]))
-    state = Reading(waves.begin(np, model, _BLOCK), rans.Decoding(states, np.array(0, np.int32)), np.array(0, np.int32))
+    state = Reading(waves.begin(model, _BLOCK), rans.Decoding(states, np.array(0, np.int32)), np.array(0, np.int32))
     rows = np.empty((steps, model.count), np.int32)
     for n in range(steps):
         if n and n % _BLOCK == 0:
@@ -244,9 +251,9 @@ def _read_plainly(model: LaneModel, states, words, bits, frames: int, steps: int
 def _read_compiled(model: LaneModel, states, words, bits, frames: int, steps: int):
     """By blocks, each with a window of its words and bits."""
     _compiled_for.add((model.moving, model.count))
-    tables, cumulative = waves.tables(np, model), _cumulative(model).astype(np.uint32)
+    tables, cumulative = waves.tables(model), _cumulative(model).astype(np.uint32)
     zero = np.array(0, np.int32)
-    state = Reading(waves.begin(np, model, _BLOCK), rans.Decoding(states, zero), zero)
+    state = Reading(waves.begin(model, _BLOCK), rans.Decoding(states, zero), zero)
     room = (_BLOCK + 1) * model.count
     words, bits = (np.concatenate([a, np.zeros(room + 2, np.uint32)]) for a in (words, bits))
     rows, word, bit = [], 0, 0

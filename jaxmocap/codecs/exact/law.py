@@ -5,6 +5,7 @@ from __future__ import annotations
 import abc
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -26,7 +27,7 @@ class Joint:
 class AbstractLaw(abc.ABC):
     """Gives `targets` from `inputs` (columns of the table)."""
 
-    smooth: bool = False  # what it leaves moves on like a column, instead of being mere rounding
+    smooth: ClassVar[bool] = False  # what it leaves moves on like a column, instead of being mere rounding
 
     @property
     @abc.abstractmethod

@@ -148,18 +148,22 @@ def law_spec(law: AbstractLaw) -> dict[str, object]:
 
 def law_from_spec(spec: dict, numbers: Sequence[float]) -> AbstractLaw:
     """The law of a spec and its numbers. Raises KeyError, TypeError or ValueError where they are none."""
-    if spec["law"] == "polynomial":
-        shape = tuple(spec["targets"]), tuple(spec["inputs"]), tuple(spec["scales"]), spec["degree"]
-        return Polynomial(*shape, np.array(numbers).reshape(-1, len(spec["targets"])))
-    if spec["law"] == "bent":
-        first, second, third = map(joint_of, spec["joints"])
-        return Bent((first, second, third), spec["degree"], 0.0, np.zeros((1, 3, 1))).with_numbers(numbers)
     zero = (0.0, 0.0, 0.0)
-    joint = joint_of(spec["joint"])
-    if spec["law"] == "constrained":
-        bare = Constrained(joint, spec["unknown"], tuple(spec["known"]), zero, zero, 0.0, spec["branch"])
-    else:
-        bare = Aimed(joint, joint_of(spec["source"]), spec["other"], zero, zero, zero, zero, 0.0, spec["branch"])
+    match spec["law"]:
+        case "polynomial":
+            shape = tuple(spec["targets"]), tuple(spec["inputs"]), tuple(spec["scales"]), spec["degree"]
+            bare = Polynomial(*shape, np.zeros((0, len(spec["targets"]))))
+        case "bent":
+            first, second, third = map(joint_of, spec["joints"])
+            bare = Bent((first, second, third), spec["degree"], 0.0, np.zeros((1, 3, 1)))
+        case "constrained":
+            joint = joint_of(spec["joint"])
+            bare = Constrained(joint, spec["unknown"], tuple(spec["known"]), zero, zero, 0.0, spec["branch"])
+        case "aimed":
+            joint, source = joint_of(spec["joint"]), joint_of(spec["source"])
+            bare = Aimed(joint, source, spec["other"], zero, zero, zero, zero, 0.0, spec["branch"])
+        case kind:
+            raise ValueError(f"laws of the kind {kind!r} are not known")
     return bare.with_numbers(numbers)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -85,11 +86,18 @@ def to_artifact(model: RigModel, corpus: str) -> Artifact:
     return make_artifact(spec, tensors)
 
 
+@functools.lru_cache(maxsize=16)
 def from_artifact(artifact: Artifact) -> RigModel:
-    """Raises FormatError where the artifact is of another codec."""
-    spec, tensors = artifact.spec, artifact.tensors
-    if spec.get("codec") != CODEC:
-        raise FormatError(f"the model is for the codec {spec.get('codec')!r}, wanted one for {CODEC!r}")
+    """Raises FormatError where the artifact is of another codec, or says what this version cannot read."""
+    if artifact.spec.get("codec") != CODEC:
+        raise FormatError(f"the model is for the codec {artifact.spec.get('codec')!r}, wanted one for {CODEC!r}")
+    try:
+        return _parsed(artifact.spec, artifact.tensors)
+    except (KeyError, TypeError, ValueError) as error:
+        raise FormatError(f"the model for {CODEC!r} is malformed, or made by a newer jaxmocap: {error!r}") from error
+
+
+def _parsed(spec: dict, tensors: dict[str, np.ndarray]) -> RigModel:
     names = ("weights", "own", "shared", "start", "frequencies")
     return RigModel(
         tuple(spec["columns"]),

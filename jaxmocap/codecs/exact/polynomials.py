@@ -6,6 +6,7 @@ import functools
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -29,7 +30,7 @@ class Polynomial(AbstractLaw):
     scales: tuple[int, ...]
     degree: int
     coefficients: Float[np.ndarray, "terms targets"]
-    smooth: bool = True
+    smooth: ClassVar[bool] = True
 
     @property
     def targets(self) -> tuple[int, ...]:

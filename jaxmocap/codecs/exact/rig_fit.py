@@ -14,7 +14,7 @@ from .fit import fit_lanes, untrained
 from .law_fit import DECIMALS, causal, fit_chains, fit_geometry
 from .laws import AbstractLaw
 from .model import RigModel, is_angle
-from .tables import Exceptions, to_lanes
+from .tables import Exceptions, law_residuals, to_lanes
 
 _ONE_THREAD = threadpool_limits.wrap(limits=1)  # the last bits of a BLAS depend on its threads, and archives must not
 _ALIKE = 0.8  # of the files begin with the same pose, or keep a column constant
@@ -61,7 +61,7 @@ def _rig(tables: Sequence[NumberTable], laws: tuple[AbstractLaw, ...], learn: bo
     model = RigModel(columns, decimals, resting, mean, moving, laws, lanes, usual, header)
     if not learn:
         return model
-    values = [to_lanes(model, b, Exceptions()) for b in bodies]
+    values = [to_lanes(model, b, law_residuals(model, b), Exceptions()) for b in bodies]
     return RigModel(columns, decimals, resting, mean, moving, laws, fit_lanes(values, len(moving)), usual, header)
 
 

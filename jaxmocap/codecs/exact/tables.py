@@ -13,10 +13,11 @@ from ..bitstream import ByteReader, varint
 from ..lossless import NumberTable
 from ..squeeze import expand, squeeze
 from . import lanes, signs
-from .laws import AbstractLaw, residuals, restored, wrapped
+from .laws import AbstractLaw, Integers, residuals, restored, wrapped
 from .model import RigModel
 
 Rows = Int32[np.ndarray, "frames columns"]
+Left = list[list[Integers]]  # what each law leaves of its targets
 _FRAMES_A_BYTE = 4096  # of side information: where frames cost next to nothing, it is filled up
 _RESTS, _ODD = 1, 2
 
@@ -38,11 +39,12 @@ def encode_table(model: RigModel, table: NumberTable, compiled: bool) -> bytes:
     """Frames, side information and lanes; the side information begins in the 16 bits that every lane has to spare."""
     rests = _begins_with_rest(model, table.integers)
     body = table.integers[1:] if rests else table.integers
-    odd = _exceptions(model, body)
-    values = to_lanes(model, body, odd)
+    left = law_residuals(model, body)
+    odd = _exceptions(model, body, left)
+    values = to_lanes(model, body, left, odd)
     while wild := _wild(model, values):
         odd.strays = sorted({*odd.strays, *wild})
-        values = to_lanes(model, body, odd)
+        values = to_lanes(model, body, left, odd)
     any_odd = bool(odd.unwrapped or odd.lawless or odd.strays)
     side = _rest_bytes(model, table.integers) if rests else b""
     if any_odd:
@@ -115,18 +117,23 @@ def _bodies(model: RigModel, reads: Sequence[_Read]) -> list[Rows]:
     return bodies
 
 
-def to_lanes(model: RigModel, body: Rows, odd: Exceptions) -> Int32[np.ndarray, "frames lanes"]:
+def law_residuals(model: RigModel, body: Rows) -> Left:
+    """What the laws of the rig leave of a table's frames."""
+    return [residuals(law, body, model.decimals) for law in model.laws]
+
+
+def to_lanes(model: RigModel, body: Rows, left: Left, odd: Exceptions) -> Int32[np.ndarray, "frames lanes"]:
     """The lanes' values: the moving columns about their means, and what the laws leave of their targets."""
-    left = {}
-    for n, law in enumerate(model.laws):
+    targets = {}
+    for n, (law, columns) in enumerate(zip(model.laws, left, strict=True)):
         if n not in odd.lawless:
-            left.update(zip(law.targets, residuals(law, body, model.decimals), strict=True))
+            targets.update(zip(law.targets, columns, strict=True))
         elif not law.smooth:
-            left.update((c, _extrapolated(model, body, c)) for c in law.targets)
+            targets.update((c, _extrapolated(model, body, c)) for c in law.targets)
     out = []
     for c in (*model.moving, *model.targets):
         column = body[:, c] if c in odd.unwrapped else unwrapped(model, body[:, c], c)
-        value = left[c] if c in left else column - model.mean[c]
+        value = targets[c] if c in targets else column - model.mean[c]
         out.append(np.zeros_like(value) if c in odd.strays else value)
     return np.stack(out, 1).astype(np.int32) if out else np.zeros((len(body), 0), np.int32)
 
@@ -173,7 +180,7 @@ def _extrapolated(model: RigModel, body: Rows, c: int) -> np.ndarray:
     return np.diff(column, 2, prepend=[0, 0])
 
 
-def _exceptions(model: RigModel, body: Rows) -> Exceptions:
+def _exceptions(model: RigModel, body: Rows, left: Left) -> Exceptions:
     odd = Exceptions()
     if not len(body):
         return odd
@@ -183,15 +190,14 @@ def _exceptions(model: RigModel, body: Rows) -> Exceptions:
     for n, law in enumerate(model.laws):
         if not all(within[c] for c in law.targets):
             strays |= set(law.targets)
-        elif not _pays(model, law, body):
+        elif not _pays(model, law, body, left[n]):
             odd.lawless.append(n)
     odd.strays = sorted(strays)
     return odd
 
 
-def _pays(model: RigModel, law: AbstractLaw, body: Rows) -> bool:
+def _pays(model: RigModel, law: AbstractLaw, body: Rows, left: Sequence[Integers]) -> bool:
     """True where what the law leaves costs less than second differences, as it does but where a figure breaks its laws."""
-    left = residuals(law, body, model.decimals)
     free = [_extrapolated(model, body, c) for c in law.targets]
     return _cost([np.diff(x, 2) for x in left] if law.smooth else left) <= _cost(free)
 

@@ -127,27 +127,27 @@ def magnitude_logarithm(xp: ModuleType, magnitude):
     return logarithm(xp, (xp.minimum(magnitude, np.int32(MAGNITUDE_CLIP)) << FRACTION) + np.int32(1 << FRACTION - 1))
 
 
-def begin(xp: ModuleType, model: LaneModel, room: int) -> Wave:
+def begin(model: LaneModel, room: int) -> Wave:
     """Before the first frame, with room for so many steps."""
     lanes, moving = model.count, model.moving
     average = power(model.start[:, 2])
     logs = np.stack([model.start[:, 2].astype(np.int32)] * 2)
     return Wave(
-        value=xp.zeros(lanes, np.int32),
-        velocity=xp.zeros(lanes, np.int32),
-        averages=xp.asarray(np.stack([average] * len(RATES))),
-        logs=xp.asarray(logs),
-        past=xp.zeros((_LAGS, moving), np.int32),
-        past_weights=xp.zeros((_LAGS, moving), np.int32),
-        surprise=xp.zeros(lanes, np.int32),
-        driving=xp.zeros(moving, np.int32),
-        unit=xp.zeros(moving, np.int32),
-        error=xp.zeros(moving, np.int32),
-        weights=xp.zeros((moving, moving), np.int32),
-        window=xp.zeros((moving, moving), np.int32),
-        scaled=xp.zeros((room + lanes, lanes), np.int32),
-        predicted=xp.zeros((room + moving, moving), np.int32),
-        inputs=xp.zeros((room + moving, moving), np.int32),
+        value=np.zeros(lanes, np.int32),
+        velocity=np.zeros(lanes, np.int32),
+        averages=np.stack([average] * len(RATES)),
+        logs=logs,
+        past=np.zeros((_LAGS, moving), np.int32),
+        past_weights=np.zeros((_LAGS, moving), np.int32),
+        surprise=np.zeros(lanes, np.int32),
+        driving=np.zeros(moving, np.int32),
+        unit=np.zeros(moving, np.int32),
+        error=np.zeros(moving, np.int32),
+        weights=np.zeros((moving, moving), np.int32),
+        window=np.zeros((moving, moving), np.int32),
+        scaled=np.zeros((room + lanes, lanes), np.int32),
+        predicted=np.zeros((room + moving, moving), np.int32),
+        inputs=np.zeros((room + moving, moving), np.int32),
     )
 
 
@@ -157,9 +157,9 @@ def turned(xp: ModuleType, wave: Wave, room: int) -> Wave:
     return Wave(*wave[:-3], *rows)
 
 
-def tables(xp: ModuleType, model: LaneModel) -> Tables:
+def tables(model: LaneModel) -> Tables:
     arrays = (model.weights.T, model.shared.T, model.own.T, model.start.T)
-    return Tables(*(xp.asarray(a.astype(np.int32)) for a in arrays))
+    return Tables(*(a.astype(np.int32) for a in arrays))
 
 
 def entered(xp: ModuleType, t: Tables, wave: Wave, at) -> Wave:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...errors import CorruptStream
 from ..bitstream import ByteReader, varint
-from ..lossless import NumberTable
+from ..lossless import NumberTable, by_rig
 from .float_coding import LIMIT, Floats
 
 
@@ -29,9 +29,7 @@ DecodeGroup = Callable[[Group, bytes, Callable[[int], bytes], Sequence[int]], di
 
 def encode(tables: Sequence[NumberTable], encode_group: EncodeGroup) -> tuple[bytes, list[bytes]]:
     """Groups the tables by columns and decimals, and has every group coded: its section and one payload a table."""
-    numbers: dict[tuple[tuple[str, ...], int], list[int]] = {}
-    for n, table in enumerate(tables):
-        numbers.setdefault((table.columns, table.decimals), []).append(n)
+    numbers = by_rig(tables)
     shared = [varint(len(numbers))]
     payloads = [b""] * len(tables)
     for (columns, decimals), members in numbers.items():
