@@ -68,6 +68,26 @@ def about_axis(axis: Float[A, "3 ..."], angle: Float[A, "..."]) -> Float[A, "3 3
     ])
 
 
+def from_rotation_vector(v: Float[A, "3 ..."]) -> Float[A, "3 3 ..."]:
+    """Rotation by |v| radians about v (exponential map)."""
+    xp = namespace(v)
+    angle2 = dot(v, v)
+    small = angle2 < 1e-8
+    safe2 = xp.where(small, 1.0, angle2)
+    angle = xp.sqrt(safe2)
+    a = xp.where(small, 1 - angle2 / 6, xp.sin(angle) / angle)
+    # 1 - cos loses all digits of a small angle, 2 sin^2 of its half none.
+    b = xp.where(small, 0.5 - angle2 / 24, 2 * xp.sin(angle / 2) ** 2 / safe2)
+    x, y, z = v[0], v[1], v[2]
+    ax, ay, az, bx, by = a * x, a * y, a * z, b * x, b * y
+    xx, yy, zz, xy, xz, yz = bx * x, by * y, b * z * z, bx * y, bx * z, by * z
+    return _matrix([
+        [1 - yy - zz, xy - az, xz + ay],
+        [xy + az, 1 - xx - zz, yz - ax],
+        [xz - ay, yz + ax, 1 - xx - yy],
+    ])
+
+
 def from_euler(angles: Float[A, "n ..."], order: str) -> Float[A, "3 3 ..."]:
     """The product, left to right, of rotations by `angles` radians about the axes in `order`."""
     xp = namespace(angles)

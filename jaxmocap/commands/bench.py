@@ -10,15 +10,20 @@ from typing import Literal
 
 import tyro
 
+from ..errors import JaxmocapError
 from .base import Command, Report
+
+Part = Literal["curves", "one_clip", "speeds", "shell", "first_frame", "bounds", "people", "rig"]
 
 
 @dataclass(kw_only=True)
 class Bench(Command):
     """Measure on real motion."""
 
-    names: tyro.conf.Positional[tuple[Literal["lossless", "lsdt"], ...]]
+    names: tyro.conf.Positional[tuple[Literal["lossless", "lsdt", "rd"], ...]]
     """What to measure."""
+    parts: tuple[Part, ...] = ()
+    """Only these parts of rd, of which people and rig train. Default: all."""
     data: Path | None = None
     """The folder with cmu_bvh. Default: JAXMOCAP_DATA, or ../shared/data."""
     output: Path | None = None
@@ -28,10 +33,12 @@ class Bench(Command):
         from ..bench import BENCHES
         from ..bench.data import data_folder
 
+        if self.parts and "rd" not in self.names:
+            raise JaxmocapError("--parts are those of rd, which is not among what is measured")
         folder = data_folder(self.data)
         results: Report = {"machine": {"cores": os.cpu_count(), "python": platform.python_version()}}
         for name in self.names:
-            results[name] = BENCHES[name].measure(folder)
+            results[name] = BENCHES[name].measure(folder, *([self.parts] if name == "rd" else []))
             if self.output is not None:
                 BENCHES[name].save(results[name], self.output)
         return results

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..components import A, namespace
 from .base import AbstractTransform
 
 # The lifting steps of the 9/7 pair (Daubechies and Sweldens 1998, section 7.7), and the scaling that makes it
@@ -56,7 +57,7 @@ class Cdf97(AbstractTransform):
         for _ in range(self.levels):
             if smooth.shape[-2] < 2:
                 break
-            smooth, detail = _split(smooth)
+            smooth, detail = split(smooth)
             details.insert(0, detail)
         return jnp.concatenate([smooth, *details], -2)
 
@@ -66,23 +67,15 @@ class Cdf97(AbstractTransform):
             lengths.append((lengths[-1] + 1) // 2)
         smooth = y[..., : lengths[-1], :]
         for length in reversed(lengths[:-1]):
-            smooth = _merge(smooth, y[..., smooth.shape[-2] : length, :])
+            smooth = merge(smooth, y[..., smooth.shape[-2] : length, :])
         return smooth
 
 
-def _neighbours_of_odd(even: Array, odd: Array) -> Array:
-    """The sum of both even neighbours of every odd sample; beyond the end the signal is mirrored."""
-    right = jnp.concatenate([even[..., 1:, :], even[..., -1:, :]], -2)[..., : odd.shape[-2], :]
-    return even[..., : odd.shape[-2], :] + right
+# One level, for numpy arrays and JAX's alike: decoders run on the host, where nothing need be compiled.
 
 
-def _neighbours_of_even(odd: Array, even: Array) -> Array:
-    left = jnp.concatenate([odd[..., :1, :], odd], -2)[..., : even.shape[-2], :]
-    right = jnp.concatenate([odd, odd[..., -1:, :]], -2)[..., : even.shape[-2], :]
-    return left + right
-
-
-def _split(x: Array) -> tuple[Array, Array]:
+def split(x: Float[A, "... frames channels"]) -> tuple[A, A]:
+    """One level of the 9/7: averages (the larger half of the frames) and details."""
     even, odd = x[..., 0::2, :], x[..., 1::2, :]
     for n in (0, 2):
         odd = odd + _LIFT[n] * _neighbours_of_odd(even, odd)
@@ -90,11 +83,28 @@ def _split(x: Array) -> tuple[Array, Array]:
     return even * _SCALE, odd / _SCALE
 
 
-def _merge(smooth: Array, detail: Array) -> Array:
+def merge(smooth: Float[A, "... averages channels"], detail: Float[A, "... details channels"]) -> A:
+    """The signal of one level; undoes `split`."""
     even, odd = smooth / _SCALE, detail * _SCALE
     for n in (2, 0):
         even = even - _LIFT[n + 1] * _neighbours_of_even(odd, even)
         odd = odd - _LIFT[n] * _neighbours_of_odd(even, odd)
+    xp = namespace(even)
     frames = even.shape[-2] + odd.shape[-2]
-    woven = jnp.zeros((*even.shape[:-2], frames, even.shape[-1]), even.dtype)
-    return woven.at[..., 0::2, :].set(even).at[..., 1::2, :].set(odd)
+    if odd.shape[-2] < even.shape[-2]:
+        odd = xp.concatenate([odd, even[..., -1:, :]], -2)
+    woven = xp.stack([even, odd], -2)
+    return woven.reshape(*even.shape[:-2], -1, even.shape[-1])[..., :frames, :]
+
+
+def _neighbours_of_odd(even: A, odd: A) -> A:
+    """The sum of both even neighbours of every odd sample; beyond the end the signal is mirrored."""
+    right = namespace(even).concatenate([even[..., 1:, :], even[..., -1:, :]], -2)[..., : odd.shape[-2], :]
+    return even[..., : odd.shape[-2], :] + right
+
+
+def _neighbours_of_even(odd: A, even: A) -> A:
+    xp = namespace(odd)
+    left = xp.concatenate([odd[..., :1, :], odd], -2)[..., : even.shape[-2], :]
+    right = xp.concatenate([odd, odd[..., -1:, :]], -2)[..., : even.shape[-2], :]
+    return left + right

@@ -24,10 +24,14 @@ _RAW_BITS = 12
 
 
 class Encoder(Protocol):
-    """Takes symbols and raw bits in order; `finish` gives the bytes."""
+    """Takes symbols and raw bits in order; `finish` gives the bytes.
+
+    `encode_each` takes many symbols, each with frequencies of its own: a row of (symbols, alphabet) that sums to 65,536.
+    """
 
     def encode(self, symbol: int, table: FrequencyTable) -> None: ...
     def encode_bits(self, value: int, count: int) -> None: ...
+    def encode_each(self, symbols: np.ndarray, frequencies: np.ndarray) -> None: ...
     def finish(self) -> bytes: ...
 
 
@@ -36,6 +40,7 @@ class Decoder(Protocol):
 
     def decode(self, table: FrequencyTable) -> int: ...
     def decode_bits(self, count: int) -> int: ...
+    def decode_each(self, frequencies: np.ndarray) -> np.ndarray: ...
 
 
 class PythonEncoder:
@@ -52,6 +57,11 @@ class PythonEncoder:
     def encode_bits(self, value: int, count: int) -> None:
         for part_bits, part in _raw_parts(value, count):
             self._narrow(part, part + 1, part_bits)
+
+    def encode_each(self, symbols: np.ndarray, frequencies: np.ndarray) -> None:
+        for symbol, row in zip(symbols.tolist(), frequencies, strict=True):
+            start = int(row[:symbol].sum())
+            self._narrow(start, start + int(row[symbol]), TABLE_BITS)
 
     def _narrow(self, start: int, stop: int, bits: int) -> None:
         scale = self._range >> _PRECISION
@@ -104,6 +114,14 @@ class PythonDecoder:
             value = value << part_bits | part
         return value
 
+    def decode_each(self, frequencies: np.ndarray) -> np.ndarray:
+        symbols = []
+        for stops in np.cumsum(frequencies, 1):
+            symbol = int(np.searchsorted(stops, self._quantile(TABLE_BITS), "right"))
+            self._narrow(int(stops[symbol - 1]) if symbol else 0, int(stops[symbol]), TABLE_BITS)
+            symbols.append(symbol)
+        return np.array(symbols, np.int64)
+
     def _quantile(self, bits: int) -> int:
         quantile = (self._point - self._low & _MASK) // (self._range >> _PRECISION)
         if quantile >> _PRECISION:
@@ -136,6 +154,9 @@ class ConstrictionEncoder:
         for part_bits, part in _raw_parts(value, count):
             self._coder.encode(part, _UNIFORM[part_bits])
 
+    def encode_each(self, symbols: np.ndarray, frequencies: np.ndarray) -> None:
+        self._coder.encode(symbols.astype(np.int32), _EACH, _weights(frequencies))
+
     def finish(self) -> bytes:
         size = 4 * (self._coder.pos()[0] + 2)
         low, width = self._coder.pos()[1]
@@ -160,6 +181,12 @@ class ConstrictionDecoder:
         for part_bits, _ in _raw_parts(0, count):
             value = value << part_bits | self._decode(_UNIFORM[part_bits])
         return value
+
+    def decode_each(self, frequencies: np.ndarray) -> np.ndarray:
+        try:
+            return self._coder.decode(_EACH, _weights(frequencies)).astype(np.int64)
+        except AssertionError as error:
+            raise CorruptStream("a chunk holds bytes that no encoder wrote") from error
 
     def _decode(self, model) -> int:
         try:
@@ -196,10 +223,13 @@ def _constriction_model(table: FrequencyTable):
     """
     model = table.__dict__.get("_constriction")
     if model is None:
-        weights = (table.frequencies << (_PRECISION - TABLE_BITS)) - 1
-        model = constriction.model.Categorical(weights.astype(np.float64), perfect=False)
+        model = constriction.model.Categorical(_weights(table.frequencies), perfect=False)
         table.__dict__["_constriction"] = model
     return model
+
+
+def _weights(frequencies: np.ndarray) -> np.ndarray:
+    return ((frequencies << (_PRECISION - TABLE_BITS)) - 1).astype(np.float64)
 
 
 if constriction is None:
@@ -208,4 +238,5 @@ if constriction is None:
 else:
     RangeEncoder = ConstrictionEncoder
     RangeDecoder = ConstrictionDecoder
+    _EACH = constriction.model.Categorical(perfect=False)
     _UNIFORM = [None] + [constriction.model.Uniform(1 << bits) for bits in range(1, _RAW_BITS + 1)]

@@ -1,0 +1,179 @@
+"""Levels of a clip as bytes and back: bands from coarse to fine, each in groups under the densities of its contexts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Int
+
+from ...errors import CorruptStream
+from ..entropy import integers
+from ..entropy.range_coder import Decoder, Encoder
+from .bands import band_rows
+from .contexts import PATH, BandContexts, fast_contexts, groups, magnitude, slow_activity, slow_contexts
+from .density import FrozenDensity, bits, stop_frequencies, tail_rows
+from .spectrum import Spectrum
+
+_COUNT_ORDER = 2
+_LIKELY = -32  # components expected to reach a quarter of a step are expected to be there at all
+
+
+class Densities(NamedTuple):
+    """The frozen networks of the lowest band and of the octaves, and the tables that turn outputs into frequencies."""
+
+    slow: FrozenDensity
+    fast: FrozenDensity
+    logistic: np.ndarray
+    tail: np.ndarray
+
+    def of(self, contexts: BandContexts) -> FrozenDensity:
+        return self.slow if contexts.slow else self.fast
+
+
+Levels = list[Int[np.ndarray, "rows components"]]
+
+
+def active_components(levels: Levels) -> list[int]:
+    """How many components every band needs: the path always, and never more than the band below has."""
+    counts = []
+    for band in reversed(levels):
+        last = np.flatnonzero(band.any(0))
+        needed = int(last[-1]) + 1 if len(last) else 0
+        counts.append(max(needed, counts[-1] if counts else 0))
+    return counts[::-1]
+
+
+def band_contexts(levels: Levels, spectrum: Spectrum, step_index: int, counts: list[int]) -> Iterator[BandContexts]:
+    """The contexts of one band after another; a band is read from `levels` only when the next is asked for."""
+    rows = len(levels[0])
+    yield slow_contexts(spectrum.slow_prior(rows, step_index)[:, : counts[0]], step_index)
+    parents = magnitude(slow_activity(levels[0]))
+    for octave, count in enumerate(counts[1:]):
+        prior = spectrum.fast_prior(len(levels[octave + 1]), octave, step_index)[:, :count]
+        yield fast_contexts(prior, step_index, octave, parents)
+        parents = magnitude(levels[octave + 1])
+        if not len(parents):
+            return
+
+
+def level_bits(levels: Levels, spectrum: Spectrum, step_index: int, densities: Densities) -> float:
+    """About what the levels will take, in bits, without coding them."""
+    total, counts = 0.0, active_components(levels)
+    for band, count, contexts in zip(levels, counts, band_contexts(levels, spectrum, step_index, counts), strict=False):
+        outputs = densities.of(contexts).logits(contexts.inputs_of(magnitude(band[:, :count])))
+        total += float(bits(outputs, np.abs(band[:, :count]).ravel()).sum())
+    return total
+
+
+def encode_levels(encoder: Encoder, levels: Levels, spectrum: Spectrum, step_index: int, densities: Densities) -> None:
+    counts = active_components(levels)
+    _write_counts(encoder, counts, spectrum, step_index)
+    for band, count, contexts in zip(levels, counts, band_contexts(levels, spectrum, step_index, counts), strict=False):
+        flat = band[:, :count].ravel().astype(np.int64)
+        outputs = densities.of(contexts)(contexts.inputs_of(magnitude(band[:, :count])))
+        for group in groups(len(band), count, contexts.slow):
+            _encode_group(encoder, flat[group], outputs[group], densities)
+
+
+def decode_levels(
+    decoder: Decoder, frames: int, octaves: int, spectrum: Spectrum, step_index: int, densities: Densities
+) -> Levels:
+    """Raises CorruptStream where no encoder wrote such bytes."""
+    rows = band_rows(frames, octaves)
+    counts = _read_counts(decoder, rows, spectrum, step_index)
+    levels = [np.zeros((n, spectrum.components), np.int64) for n in rows]
+    for band, count, contexts in zip(levels, counts, band_contexts(levels, spectrum, step_index, counts), strict=False):
+        n = contexts.neighbours
+        own = n.padded(np.zeros((len(band), count), np.int64))
+        excess, expected = own.copy(), contexts.expected.ravel()
+        flat = np.zeros(len(band) * count, np.int64)
+        density = densities.of(contexts)
+        for group in groups(len(band), count, contexts.slow):
+            decoded = _decode_group(decoder, density(contexts.inputs(own, excess, group)), densities)
+            flat[group] = decoded
+            at = n.base[group]
+            own[at] = magnitude(decoded)
+            excess[at] = own[at] - expected[group]
+        band[:, :count] = flat.reshape(len(band), count)
+    return levels
+
+
+def _encode_group(encoder: Encoder, levels: np.ndarray, outputs: np.ndarray, densities: Densities) -> None:
+    size = np.abs(levels)
+    encoder.encode_each(np.minimum(size, 3), stop_frequencies(outputs, densities.logistic))
+    beyond = size >= 3
+    if beyond.any():
+        symbol, raw, count = integers.split(size[beyond] - 3)
+        encoder.encode_each(symbol, densities.tail[tail_rows(outputs[beyond])].astype(np.int64) + 1)
+        for value, n in zip(raw.tolist(), count.tolist(), strict=True):
+            encoder.encode_bits(value, n)
+    signs = levels[size > 0] < 0
+    encoder.encode_each(signs.astype(np.int64), _even(len(signs)))
+
+
+def _decode_group(decoder: Decoder, outputs: np.ndarray, densities: Densities) -> np.ndarray:
+    size = decoder.decode_each(stop_frequencies(outputs, densities.logistic))
+    beyond = np.flatnonzero(size == 3)
+    if len(beyond):
+        symbols = decoder.decode_each(densities.tail[tail_rows(outputs[beyond])].astype(np.int64) + 1)
+        size[beyond] = [3 + integers.join(s, decoder.decode_bits(integers.raw_bits(s))) for s in symbols.tolist()]
+    nonzero = np.flatnonzero(size)
+    if len(nonzero):
+        size[nonzero[decoder.decode_each(_even(len(nonzero))) == 1]] *= -1
+    return size
+
+
+def _even(count: int) -> np.ndarray:
+    return np.full((count, 2), 1 << 15, np.int64)
+
+
+def _expected_counts(rows: list[int], spectrum: Spectrum, step_index: int) -> Iterator[int]:
+    priors = [spectrum.slow_prior(rows[0], step_index)]
+    priors += [spectrum.fast_prior(1, octave, step_index) for octave in range(len(rows) - 1)]
+    for prior in priors:
+        likely = np.flatnonzero((prior > _LIKELY).any(0))
+        yield int(likely[-1]) + 1 if len(likely) else PATH
+
+
+def _write_counts(encoder: Encoder, counts: list[int], spectrum: Spectrum, step_index: int) -> None:
+    previous = spectrum.components
+    rows = [1 << 10] * len(counts)
+    for count, likely in zip(counts, _expected_counts(rows, spectrum, step_index), strict=True):
+        if previous == 0:
+            return
+        _write_golomb(encoder, count - min(likely, previous))
+        previous = count
+
+
+def _read_counts(decoder: Decoder, rows: list[int], spectrum: Spectrum, step_index: int) -> list[int]:
+    counts: list[int] = []
+    previous = spectrum.components
+    for likely in _expected_counts([1 << 10] * len(rows), spectrum, step_index):
+        count = _read_golomb(decoder) + min(likely, previous) if previous else 0
+        if not 0 <= count <= previous:
+            raise CorruptStream(f"a band has {count} components, where {previous} are the most")
+        counts.append(count)
+        previous = count
+    return counts
+
+
+def _write_golomb(encoder: Encoder, value: int) -> None:
+    """Exp-Golomb of a signed integer."""
+    shifted = (2 * value - 1 if value > 0 else -2 * value) + (1 << _COUNT_ORDER)
+    extra = shifted.bit_length() - 1 - _COUNT_ORDER
+    for _ in range(extra):
+        encoder.encode_bits(1, 1)
+    encoder.encode_bits(0, 1)
+    encoder.encode_bits(shifted - (1 << extra + _COUNT_ORDER), extra + _COUNT_ORDER)
+
+
+def _read_golomb(decoder: Decoder) -> int:
+    extra = 0
+    while decoder.decode_bits(1):
+        extra += 1
+        if extra > 16:
+            raise CorruptStream("a count of components is beyond all measure")
+    unsigned = (1 << extra + _COUNT_ORDER | decoder.decode_bits(extra + _COUNT_ORDER)) - (1 << _COUNT_ORDER)
+    return (unsigned + 1) // 2 if unsigned & 1 else -(unsigned // 2)

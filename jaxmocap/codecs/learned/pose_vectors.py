@@ -1,0 +1,156 @@
+"""A motion as vectors with no constraint left: a path over the floor, and how every joint turns about the mean pose.
+
+The path is x, z and heading of joint 0. The body, seen from there, is the height of joint 0, the rotation vectors of all
+joints that turn, and the shifts of joints that slide; bones keep their lengths whatever becomes of the vectors.
+"""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ... import components as rot
+from ...components import A, namespace
+from ...features.alignment import heading
+from ...features.channels import rotation_order, values_of
+from ...kinematics import Pose, local_rotations
+from ...motion import Motion
+from ...rotations import to_quaternion
+from ...skeleton import POSITION_CHANNELS, Skeleton
+
+
+@dataclass(frozen=True, eq=False)
+class PoseVectors:
+    """`skeleton` is in cm; `mean` holds the mean local rotation of every joint, that of joint 0 less its heading."""
+
+    skeleton: Skeleton
+    mean: Float[np.ndarray, "joints 3 3"]
+
+    @functools.cached_property
+    def turning(self) -> np.ndarray:
+        return np.array([j for j, channels in enumerate(self.skeleton.channels) if rotation_order(channels)], int)
+
+    @functools.cached_property
+    def sliding(self) -> np.ndarray:
+        """Joints besides joint 0 that have position channels."""
+        channels = self.skeleton.channels
+        return np.array([j for j, cs in enumerate(channels) if j and set(cs) & set(POSITION_CHANNELS)], int)
+
+    @property
+    def has_heading(self) -> bool:
+        return len(rotation_order(self.skeleton.channels[0])) == 3
+
+    @property
+    def size(self) -> int:
+        return 1 + 3 * len(self.turning) + 3 * len(self.sliding)
+
+    def analyse(self, motion: Motion, scale: float) -> tuple[np.ndarray, np.ndarray]:
+        """Path (frames, 3) in cm and radians, and body (frames, size), of a motion whose unit is `scale` cm."""
+        local = np.asarray(_local_rotations(motion.skeleton, jnp.asarray(motion.values)), np.float64)
+        place = np.asarray(_translations(motion), np.float64) * scale
+        turn = np.asarray(heading(jnp.asarray(local[:, 0])), np.float64) if self.has_heading else np.zeros(len(local))
+        local[:, 0] = np.einsum("fji,fjk->fik", np.moveaxis(_about_y(turn), -1, 0), local[:, 0])
+        relative = np.swapaxes(self.mean[self.turning], -1, -2)[None] @ local[:, self.turning]
+        shifts = self._shifts(place)
+        path = np.stack([place[:, 0, 0], place[:, 0, 2], turn], 1)
+        vectors = _continuous_vectors(relative).reshape(len(local), -1)
+        return path, np.concatenate([place[:, 0, 1:2], vectors, shifts.reshape(len(local), -1)], 1)
+
+    def _shifts(self, place: np.ndarray) -> np.ndarray:
+        """Of sliding joints: from where their bone ends, or from under joint 0 for further roots."""
+        return place[:, self.sliding] - self._rest(place)
+
+    def _rest(self, place: A) -> A:
+        xp = namespace(place)
+        is_root = np.array([self.skeleton.parents[j] < 0 for j in self.sliding], bool)[None, :, None]
+        under = place[:, :1] * np.array([1.0, 0.0, 1.0], np.float32)[None, None]
+        return xp.where(is_root, under, xp.asarray(self.skeleton.offsets[self.sliding], place.dtype)[None])
+
+    def local(self, path: Float[A, "frames 3"], body: Float[A, "frames size"]) -> tuple[A, A]:
+        """Local rotations (3, 3, joints, frames), with the heading, and translations (3, joints, frames) in cm."""
+        xp = namespace(body)
+        frames, joints, turns = len(body), self.skeleton.joint_count, len(self.turning)
+        vectors = body[:, 1 : 1 + 3 * turns].reshape(frames, turns, 3).transpose(2, 1, 0)
+        mean = xp.asarray(self.mean[self.turning], body.dtype).transpose(1, 2, 0)[..., None]
+        turned = rot.multiply(mean, rot.from_rotation_vector(vectors))
+        if self.has_heading:
+            first = rot.multiply(_about_y(path[:, 2]), turned[:, :, 0])[:, :, None]
+            turned = xp.concatenate([first, turned[:, :, 1:]], 2)
+        rotations = _spread(turned, self.turning, rot.identity((frames,), turned), joints)
+        root = xp.stack([path[:, 0], body[:, 0], path[:, 1]], 1)[:, None]
+        bones = xp.broadcast_to(xp.asarray(self.skeleton.offsets[1:], body.dtype)[None], (frames, joints - 1, 3))
+        place = xp.concatenate([root, bones], 1)
+        if len(self.sliding):
+            slid = self._rest(place) + body[:, 1 + 3 * turns :].reshape(frames, -1, 3)
+            place = xp.stack([
+                slid[:, np.flatnonzero(self.sliding == j)[0]] if j in self.sliding else place[:, j] for j in range(joints)
+            ], 1)  # fmt: skip
+        return rotations, place.transpose(2, 1, 0)
+
+    def pose(self, path: Float[Array, "frames 3"], body: Float[Array, "frames size"]) -> Pose:
+        """Global pose in cm; differentiable."""
+        local, place = self.local(path, body)
+        turned, at = [], []
+        for j, parent in enumerate(self.skeleton.parents):
+            turned.append(rot.multiply(turned[parent], local[:, :, j]) if parent >= 0 else local[:, :, j])
+            at.append(at[parent] + rot.apply(turned[parent], place[:, j]) if parent >= 0 else place[:, j])
+        ends = [
+            at[j] + rot.apply(turned[j], jnp.asarray(offset, body.dtype)[:, None])
+            for j, offset in zip(self.skeleton.end_joints, self.skeleton.end_offsets, strict=True)
+        ]
+        return Pose(_frames_first(at), jnp.moveaxis(jnp.stack(turned), (0, -1), (1, 0)), _frames_first(ends))
+
+    def values(self, path: np.ndarray, body: np.ndarray, scale: float) -> Float[np.ndarray, "frames channels"]:
+        """Channel values in degrees and file units; on the host, where nothing need be compiled."""
+        rotations, place = self.local(path, body)
+        return np.asarray(values_of(self.skeleton, rotations, place / scale), np.float64)
+
+
+def _spread(turned: A, turning: np.ndarray, still: A, joints: int) -> A:
+    """Rotations of all joints; by slices, since the gradient of a gather is a scatter, which is slow."""
+    if len(turning) == joints:
+        return turned
+    of = {j: n for n, j in enumerate(turning.tolist())}
+    return namespace(turned).stack([turned[:, :, of[j]] if j in of else still for j in range(joints)], 2)
+
+
+def _continuous_vectors(rotations: Float[np.ndarray, "frames joints 3 3"]) -> Float[np.ndarray, "frames joints 3"]:
+    """Rotation vectors that do not jump from frame to frame, up to a length of a whole turn."""
+    q = np.asarray(_quaternions(jnp.asarray(rotations)), np.float64)
+    turned = np.cumprod(np.where((q[1:] * q[:-1]).sum(-1) < 0, -1.0, 1.0), 0)
+    q[1:] *= turned[..., None]
+    q *= np.where(q[..., 0].sum(0) < 0, -1.0, 1.0)[None, :, None]
+    sine = np.linalg.norm(q[..., 1:], axis=-1)
+    angle = 2 * np.arctan2(sine, q[..., 0])
+    factor = np.where(sine > 1e-9, angle / np.maximum(sine, 1e-9), 2.0)
+    return q[..., 1:] * factor[..., None]
+
+
+def _frames_first(vectors: list[Array]) -> Float[Array, "frames joints 3"]:
+    return jnp.stack(vectors).transpose(2, 0, 1) if vectors else jnp.zeros((0,))
+
+
+def _about_y(angle: A) -> A:
+    xp = namespace(angle)
+    axis = xp.asarray(np.array([0.0, 1.0, 0.0]), angle.dtype).reshape(3, *[1] * angle.ndim)
+    return rot.about_axis(axis, angle)
+
+
+_local_rotations = eqx.filter_jit(local_rotations)
+_quaternions = eqx.filter_jit(to_quaternion)
+
+
+def _translations(motion: Motion) -> Float[np.ndarray, "frames joints 3"]:
+    """Of every joint in its parent's frame, in file units."""
+    s = motion.skeleton
+    place = np.tile(s.offsets, (motion.frame_count, 1, 1))
+    for j, (start, channels) in enumerate(zip(s.first_column, s.channels, strict=True)):
+        for n, name in enumerate(channels):
+            if name in POSITION_CHANNELS:
+                place[:, j, POSITION_CHANNELS.index(name)] = motion.values[:, start + n]
+    return place

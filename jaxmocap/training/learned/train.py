@@ -1,0 +1,264 @@
+"""Training of `learned`, in resumable stages: mean pose, moments, then densities on levels that they helped to choose.
+
+Densities are first fitted to plainly quantised levels, then twice to levels that the encoder chose with the densities so
+far, since what is optimal to code has other statistics than what is merely rounded. Steps are drawn log-uniformly, and
+are an input, so that one model serves all rates.
+"""
+
+from __future__ import annotations
+
+import functools
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ...codecs.artifact import Artifact, make_artifact
+from ...codecs.learned import bands
+from ...codecs.learned.basis import Basis, direction_of
+from ...codecs.learned.coefficients import Densities, Levels, active_components
+from ...codecs.learned.contexts import FAST_INPUTS, SLOW_INPUTS
+from ...codecs.learned.density import Density, logistic_table, tail_table
+from ...codecs.learned.distortion import METRICS, Distortion, Metric
+from ...codecs.learned.figure import in_cm
+from ...codecs.learned.model import LearnedModel
+from ...codecs.learned.optimise import Optimiser
+from ...codecs.learned.pose_vectors import PoseVectors
+from ...codecs.learned.spectrum import Spectrum, fit_spectrum
+from ...codecs.quantise import PER_OCTAVE, step_cm
+from ...codecs.rig import Rig
+from ...errors import FormatError
+from ...motion import Motion
+from ...skeleton import Skeleton
+from ..corpus import Corpus
+from ..loop import Stage, State, run
+from ..rigs import fit_rig
+from . import densities as fit
+from .moments import jacobian_moment, weighted_klt
+from .rows import Rows, empty, joined, rows_of
+
+HIDDEN = 48
+_EPOCHS = {"plain": 4, "optimal": 4, "final": 6}
+_ROUNDS = 12
+_STEPS = {"plain": (1 * PER_OCTAVE, 12 * PER_OCTAVE), "optimal": (3 * PER_OCTAVE, 12 * PER_OCTAVE), "final": (0, 12 * PER_OCTAVE)}
+_DRAWS = {"plain": 4, "optimal": 1, "final": 2}
+_HELD_OUT = 7  # every seventh file says when to stop
+
+
+def train_learned(corpus: Corpus, checkpoint: Path) -> tuple[Artifact, dict]:
+    """The model of a corpus of one rig, and a report: bits a level by epoch, on training and held-out files.
+
+    Raises FormatError where the corpus has several rigs.
+    """
+    trainer = Trainer(corpus)
+    state = run(trainer.stages(), checkpoint, f"learned 1 {corpus.digest()}")
+    model = trainer.model(state)
+    spec = {"codec": "learned", "corpus": corpus.digest(), "rig": model.rig.spec()}
+    artifact = make_artifact(spec, model.tensors())
+    report = {
+        "codec": "learned",
+        "digest": artifact.digest,
+        "files": len(corpus.files),
+        "frames": int(state["frames"].sum()),
+        "curves": {key.removeprefix("curve."): value.tolist() for key, value in state.items() if key.startswith("curve.")},
+        "components": {metric: model.bases[metric].components for metric in METRICS},
+    }
+    return artifact, report
+
+
+class Trainer:
+    """The stages and what they share; everything that outlasts an item is in the state."""
+
+    def __init__(self, corpus: Corpus):
+        rigs = corpus.rigs()
+        if len(rigs) > 1:
+            raise FormatError(f"the corpus has {len(rigs)} rigs, wanted one: train a model for each")
+        self.corpus = corpus
+        self.files = corpus.files
+
+    def stages(self) -> list[Stage]:
+        files = len(self.files)
+        stages = [Stage("mean pose", files, self._add_rotations), Stage("moments", files, self._add_moments)]
+        stages += [Stage("spectra", len(METRICS), self._fit_spectrum)]
+        for name, epochs in _EPOCHS.items():
+            stages += [Stage(f"{name} levels", files, functools.partial(self._add_levels, name))]
+            stages += [Stage(f"{name} densities", 2 * epochs, functools.partial(self._fit_density, name))]
+        return stages
+
+    def model(self, state: State) -> LearnedModel:
+        return LearnedModel(self._rig(state), {m: self._basis(state, m) for m in METRICS}, self._densities(state))
+
+    def _add_rotations(self, state: State, item: int) -> State:
+        motion = self._motion(item)
+        plain = PoseVectors(in_cm(motion.skeleton, motion.scale), np.tile(np.eye(3), (motion.skeleton.joint_count, 1, 1)))
+        path, body = plain.analyse(motion, motion.scale)
+        local, _ = plain.local(np.zeros_like(path), body)
+        total = local.sum(-1).transpose(2, 0, 1)
+        bones = np.concatenate([motion.skeleton.offsets, motion.skeleton.end_offsets])[None]
+        return {
+            "rotations": state.get("rotations", 0.0) + total,
+            "bones": np.concatenate([*([state["bones"]] if "bones" in state else []), bones]),
+            "frames": np.append(state.get("frames", np.zeros(0, np.int64)), motion.frame_count),
+            "unit": np.array([motion.scale, motion.frame_time]),
+        }
+
+    def _add_moments(self, state: State, item: int) -> State:
+        figure, _, body = self._vectors(state, item)
+        count = float(len(body))
+        state = {**state, "sum.x": state.get("sum.x", 0.0) + body.sum(0), "sum.xx": state.get("sum.xx", 0.0) + body.T @ body}
+        for metric in METRICS:
+            moment, radius = jacobian_moment(figure, metric, body)
+            state[f"{metric}.jacobian"] = state.get(f"{metric}.jacobian", 0.0) + count * moment
+            state[f"{metric}.radius"] = state.get(f"{metric}.radius", np.zeros(1)) + count * radius
+        return state
+
+    def _fit_spectrum(self, state: State, item: int) -> State:
+        metric = METRICS[item]
+        count = state["frames"].sum()
+        mean = state["sum.x"] / count
+        covariance = state["sum.xx"] / count - np.outer(mean, mean)
+        synthesis = weighted_klt(state[f"{metric}.jacobian"] / count, covariance)
+        unknown = Spectrum(np.zeros((1, 3 + len(synthesis))), np.zeros((1, 3 + len(synthesis))))
+        turn_cm = float(np.float32(np.sqrt(state[f"{metric}.radius"][0] / count)))
+        basis = Basis(mean.astype(np.float32).astype(np.float64), synthesis.astype(np.float16).astype(np.float64), turn_cm, unknown)
+        spectrum = fit_spectrum([bands.forward(self._coefficients(state, basis, n)[1], self._octaves(state)) for n in range(len(self.files))])
+        return {
+            **state,
+            f"{metric}.mean": basis.mean, f"{metric}.synthesis": basis.synthesis, f"{metric}.turn_cm": np.array([turn_cm]),
+            f"{metric}.slow": spectrum.slow, f"{metric}.fast": spectrum.fast,
+        }  # fmt: skip
+
+    def _add_levels(self, name: str, state: State, item: int) -> State:
+        """Levels of one file at steps of its own, for every metric."""
+        if item == 0:
+            state = {key: value for key, value in state.items() if not key.startswith("levels.")}
+        random = np.random.default_rng([item, *name.encode()])
+        for metric in METRICS:
+            basis = self._basis(state, metric)
+            for draw in range(_DRAWS[name]):
+                index = int(random.integers(*_STEPS[name]))
+                levels = self._levels(state, metric, basis, item, index, name != "plain")
+                counts = active_components(levels)
+                for b, (band, active) in enumerate(zip(levels, counts, strict=True)):
+                    state[f"levels.{item}.{metric}.{draw}.{index}.{b}"] = band[:, :active].astype(np.int32)
+        return state
+
+    def _levels(self, state: State, metric: Metric, basis: Basis, item: int, index: int, optimal: bool) -> Levels:
+        direction, y = self._coefficients(state, basis, item)
+        octaves, step = self._octaves(state), step_cm(index)
+        if not optimal:
+            wanted = bands.forward(y, octaves)
+            return [(np.sign(w) * np.floor(np.abs(w) / step + 0.33)).astype(np.int64) for w in wanted]
+        figure, path, body = self._vectors(state, item)
+        distortion = Distortion(figure, basis, metric, direction, figure, path, body)
+        optimiser = Optimiser(y, octaves, distortion, basis.spectrum, self._densities(state), index, step)
+        for _ in range(_ROUNDS):
+            optimiser.round(0.6)
+        return optimiser.levels
+
+    def _fit_density(self, name: str, state: State, item: int) -> State:
+        """One epoch of one network; the first half of the items is the lowest band's, the second the octaves'."""
+        epochs = _EPOCHS[name]
+        which, n = ("slow", "fast")[item // epochs], item % epochs
+        rows, held_out = self._rows(state, name)[which]
+        batches = max(len(rows.sizes) // fit.BATCH, 1)
+        steps = batches * epochs
+        density = self._density(state, which)
+        optimiser_state = fit.optimiser(steps).init(eqx.filter(density, eqx.is_array))
+        if n:
+            optimiser_state = _unflatten(optimiser_state, state, f"{which}.optimiser")
+        order = np.random.default_rng([n, *name.encode()]).permutation(len(rows.sizes))
+        order = np.resize(order, batches * min(fit.BATCH, len(order))).reshape(batches, -1)
+        density, optimiser_state, trained = fit.epoch(density, optimiser_state, rows, jnp.asarray(order), steps)
+        held = fit.evaluate(density, held_out)
+        curve = np.concatenate([state.get(f"curve.{name}.{which}", np.zeros((0, 2))), [[float(trained), float(held)]]])
+        state = {**state, f"curve.{name}.{which}": curve, **_flatten(optimiser_state, f"{which}.optimiser")}
+        state = {**state, **_flatten(density, f"{which}.density")}
+        if held <= curve[:, 1].min():
+            state = {**state, **_flatten(density, f"{which}.best")}
+        return state
+
+    @functools.lru_cache(maxsize=1)  # noqa: B019  a trainer lives as long as its run
+    def _rows_of_stage(self, name: str, key: tuple[str, ...]) -> dict[str, tuple[Rows, Rows]]:
+        state = self._state_of_rows
+        parts: dict[str, tuple[list[Rows], list[Rows]]] = {
+            "slow": ([empty(SLOW_INPUTS)], [empty(SLOW_INPUTS)]),
+            "fast": ([empty(FAST_INPUTS)], [empty(FAST_INPUTS)]),
+        }
+        for stem in key:
+            _, item, metric, _, index = stem.split(".")
+            basis = self._basis(state, metric)
+            levels = []
+            while f"{stem}.{len(levels)}" in state:
+                band = state[f"{stem}.{len(levels)}"]
+                levels.append(np.pad(band.astype(np.int64), ((0, 0), (0, basis.components - band.shape[1]))))
+            held_out = int(item) % _HELD_OUT == _HELD_OUT - 1 or len(self.files) == 1
+            random = np.random.default_rng(int(item))
+            for which, rows in zip(("slow", "fast"), rows_of(levels, basis.spectrum, int(index), random), strict=True):
+                parts[which][held_out].append(rows)
+        found = {}
+        for which, (train, held) in parts.items():
+            train, held = joined(train), joined(held)
+            found[which] = (train if len(train.sizes) else held, held if len(held.sizes) else train)
+        return found
+
+    def _rows(self, state: State, name: str) -> dict[str, tuple[Rows, Rows]]:
+        stems = sorted({key.rpartition(".")[0] for key in state if key.startswith("levels.")})
+        self._state_of_rows = state
+        return self._rows_of_stage(name, tuple(stems))
+
+    def _motion(self, item: int) -> Motion:
+        return self.corpus.motion(self.files[item])
+
+    def _rig(self, state: State) -> Rig:
+        first = self._motion(0).skeleton
+        people = [
+            Skeleton(first.names, first.parents, b[: first.joint_count], first.channels, first.end_joints, b[first.joint_count :], first.axes)
+            for b in np.unique(state["bones"], axis=0)
+        ]
+        return fit_rig(people, state["rotations"], float(state["unit"][0]), float(state["unit"][1]))
+
+    @functools.cache  # noqa: B019
+    def _vectors_of(self, item: int) -> tuple[PoseVectors, np.ndarray, np.ndarray]:
+        motion = self._motion(item)
+        figure = PoseVectors(in_cm(motion.skeleton, motion.scale), self._mean)
+        return (figure, *figure.analyse(motion, motion.scale))
+
+    def _vectors(self, state: State, item: int) -> tuple[PoseVectors, np.ndarray, np.ndarray]:
+        self._mean = self._rig(state).expected.astype(np.float32).astype(np.float64) if not hasattr(self, "_mean") else self._mean
+        return self._vectors_of(item)
+
+    def _coefficients(self, state: State, basis: Basis, item: int) -> tuple[int, np.ndarray]:
+        _, path, body = self._vectors(state, item)
+        direction = direction_of(path)
+        return direction, basis.coefficients(path, body, direction)
+
+    def _octaves(self, state: State) -> int:
+        return bands.octave_count(float(state["unit"][1]))
+
+    def _basis(self, state: State, metric: Metric) -> Basis:
+        parts = (state[f"{metric}.{name}"] for name in ("mean", "synthesis", "turn_cm", "slow", "fast"))
+        mean, synthesis, turn_cm, slow, fast = parts
+        return Basis(mean, synthesis, float(turn_cm[0]), Spectrum(slow, fast))
+
+    def _density(self, state: State, which: str) -> Density:
+        inputs = {"slow": SLOW_INPUTS, "fast": FAST_INPUTS}[which]
+        density = Density.init(inputs, HIDDEN, jax.random.key(len(which) + inputs))
+        return _unflatten(density, state, f"{which}.density") if f"{which}.density.0" in state else density
+
+    def _densities(self, state: State) -> Densities:
+        def best(which: str):
+            return _unflatten(self._density(state, which), state, f"{which}.best").freeze()
+
+        return Densities(best("slow"), best("fast"), logistic_table(), tail_table())
+
+
+def _flatten(tree, name: str) -> State:
+    return {f"{name}.{n}": np.asarray(leaf) for n, leaf in enumerate(jax.tree.leaves(eqx.filter(tree, eqx.is_array)))}
+
+
+def _unflatten(tree, state: State, name: str):
+    leaves, structure = jax.tree.flatten(tree)
+    return jax.tree.unflatten(structure, [jnp.asarray(state[f"{name}.{n}"]) for n in range(len(leaves))])
