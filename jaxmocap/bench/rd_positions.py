@@ -18,7 +18,7 @@ from ..skeleton import POSITION_CHANNELS, Skeleton
 Channels = Float[np.ndarray, "channels knots"]
 Positions = Float[np.ndarray, "frames joints 3"]
 ALL_FRAMES = (1,)
-THINNED = (1, 2, 4, 6, 8, 12, 16, 24)
+THINNED = (1, 2, 3, 4, 6, 8, 10, 12, 16, 20, 24, 32)
 _ROOT_WEIGHT = 4.0  # its error is every joint's: of 1, 2, 3, 4 and 6 the best for SZ3 and for xz
 _HEAD = struct.Struct("<IB")  # frames, every
 _TRIALS, _CLOSE = 12, 0.99

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 
 from .rd import ratio_at
 
-_WIDTH = 28
+_WIDTH = 30
 
 
 def text(result: dict) -> str:
@@ -19,8 +19,9 @@ def _curves(found: dict) -> list[str]:
     lines = [
         "Compression ratio of the 9 test clips without their T-pose: float32 positions of 31 joints over real bytes. Codecs:",
         "whole streams, header and skeleton included, shipped model not. SZ3, zfp and xz: positions alone, no skeleton; joints",
-        "that coincide once (21 of 31), all relative to the root; thinned: every m-th frame and a cubic spline, whatever m takes",
-        "fewest bytes. Every clip meets the error by itself; between measured points log ratio goes straight over log error.",
+        "that coincide once (21 of 31), all relative to the root; thinned: every m-th frame and a cubic spline, at the m that",
+        "takes fewest bytes. Every clip meets the error by itself; between measured points the logarithm of the ratio is taken",
+        "to be linear in that of the error.",
         _line("mean error, cm", (f"{cm:g}" for cm in targets)),
         *[_line(name, (_ratio(ratio_at(rows, cm)) for cm in targets)) for name, rows in methods.items()],
         *[f"  {name}: not measured, {what} is missing" for name, what in found["missing"].items()],

@@ -12,11 +12,16 @@ from .artifact import load_artifact as load_artifact
 from .base import AbstractCodec as AbstractCodec
 from .base import Target as Target
 from .container import Header, read_stream
+from .learned import codec as learned_codec
+from .learned.codec import Learned as Learned
 from .lsdt_clip import LsdtClip as LsdtClip
 
 # Registering a codec is what has it tested: the laws in tests/test_codec_laws.py run over this table.
-CODECS: dict[str, Callable[..., AbstractCodec]] = {"lsdt-clip": LsdtClip}
-_BY_NUMBER = {lsdt_clip.NUMBER: ("lsdt-clip", lsdt_clip.decode)}
+CODECS: dict[str, Callable[..., AbstractCodec]] = {"lsdt-clip": LsdtClip, "learned": Learned}
+_BY_NUMBER = {
+    lsdt_clip.NUMBER: ("lsdt-clip", lsdt_clip.decode),
+    learned_codec.NUMBER: ("learned", learned_codec.decode),
+}
 DEFAULT = "lsdt-clip"
 
 

@@ -56,3 +56,11 @@ class AbstractCodec(eqx.Module):
     @abc.abstractmethod
     def config(self) -> dict:
         """All settings as JSON, enough for `codecs.make` to build the same codec again."""
+
+
+def frame_range(frames: slice | None, count: int) -> tuple[int, int]:
+    """Start and stop of the frames asked for, of `count`. Raises ValueError where they are none."""
+    start, stop, stride = (frames or slice(None)).indices(count)
+    if stride != 1 or start >= stop:
+        raise ValueError(f"frames {start}:{stop} of {count} are none; wanted start < stop and no stride")
+    return start, stop

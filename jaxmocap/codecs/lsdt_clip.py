@@ -23,7 +23,7 @@ from ..motion import Motion
 from ..skeleton import Skeleton
 from . import coefficients_paper, coefficients_runs, lsdt_basis
 from .artifact import Artifact, find_artifact, parse_artifact
-from .base import AbstractCodec, Target
+from .base import AbstractCodec, Target, frame_range
 from .clips import Cut, analyse, cut, synthesise, to_clips
 from .coefficients_runs import frame_rate
 from .container import DIGEST_BYTES, Header, Stream, read_stream, write_stream
@@ -120,9 +120,7 @@ def decode(stream: Stream, at_hand: Artifact | None, frames: slice | None = None
     coding = lsdt_basis.known(model) if is_known else lsdt_basis.read_own(rest, skeleton.joint_count, model, form)
     frame_time = model.rig.frame_time if header.frame_time is None else header.frame_time
 
-    start, stop, stride = (frames or slice(None)).indices(header.frames)
-    if stride != 1 or start >= stop:
-        raise ValueError(f"frames {start}:{stop} of {header.frames} are none; wanted start < stop and no stride")
+    start, stop = frame_range(frames, header.frames)
     if (stop - start + header.chunk_frames) * skeleton.joint_count > _MOST_AT_ONCE:
         raise JaxmocapError(f"{stop - start} frames are too many to decode at once; take them in parts (--frames A:B)")
     first, last = start // header.chunk_frames, (stop - 1) // header.chunk_frames

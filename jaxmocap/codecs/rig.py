@@ -69,6 +69,11 @@ def bones_of(skeleton: Skeleton) -> Float[np.ndarray, "bones 3"]:
     return np.concatenate([skeleton.offsets, skeleton.end_offsets])
 
 
+def with_bones(skeleton: Skeleton, bones: Float[np.ndarray, "bones 3"]) -> Skeleton:
+    """The skeleton with other bones, in their unit."""
+    return _with_bones(_outline(skeleton), bones, skeleton.axes if skeleton.has_axes else None)
+
+
 def bone_octave(step_index: int) -> int:
     """Bones are multiples of 2^octave cm at this quantiser step."""
     return step_index // PER_OCTAVE - 7 - _FINER_OCTAVES

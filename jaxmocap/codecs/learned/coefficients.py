@@ -14,6 +14,7 @@ from ..entropy.range_coder import Decoder, Encoder
 from .bands import band_rows
 from .contexts import PATH, BandContexts, fast_contexts, groups, magnitude, slow_activity, slow_contexts
 from .density import FrozenDensity, bits, stop_frequencies, tail_rows
+from .golomb import read_signed, write_signed
 from .spectrum import Spectrum
 
 _COUNT_ORDER = 2
@@ -109,8 +110,7 @@ def _encode_group(encoder: Encoder, levels: np.ndarray, outputs: np.ndarray, den
         encoder.encode_each(symbol, densities.tail[tail_rows(outputs[beyond])].astype(np.int64) + 1)
         for value, n in zip(raw.tolist(), count.tolist(), strict=True):
             encoder.encode_bits(value, n)
-    signs = levels[size > 0] < 0
-    encoder.encode_each(signs.astype(np.int64), _even(len(signs)))
+    encode_signs(encoder, levels[size > 0])
 
 
 def _decode_group(decoder: Decoder, outputs: np.ndarray, densities: Densities) -> np.ndarray:
@@ -119,10 +119,19 @@ def _decode_group(decoder: Decoder, outputs: np.ndarray, densities: Densities) -
     if len(beyond):
         symbols = decoder.decode_each(densities.tail[tail_rows(outputs[beyond])].astype(np.int64) + 1)
         size[beyond] = [3 + integers.join(s, decoder.decode_bits(integers.raw_bits(s))) for s in symbols.tolist()]
-    nonzero = np.flatnonzero(size)
+    return decode_signs(decoder, size)
+
+
+def encode_signs(encoder: Encoder, nonzeros: Int[np.ndarray, " nonzeros"]) -> None:
+    encoder.encode_each((nonzeros < 0).astype(np.int64), _even(len(nonzeros)))
+
+
+def decode_signs(decoder: Decoder, sizes: Int[np.ndarray, " places"]) -> Int[np.ndarray, " places"]:
+    """The levels of sizes, signs of all that are not zero read."""
+    nonzero = np.flatnonzero(sizes)
     if len(nonzero):
-        size[nonzero[decoder.decode_each(_even(len(nonzero))) == 1]] *= -1
-    return size
+        sizes[nonzero[decoder.decode_each(_even(len(nonzero))) == 1]] *= -1
+    return sizes
 
 
 def _even(count: int) -> np.ndarray:
@@ -143,7 +152,7 @@ def _write_counts(encoder: Encoder, counts: list[int], spectrum: Spectrum, step_
     for count, likely in zip(counts, _expected_counts(rows, spectrum, step_index), strict=True):
         if previous == 0:
             return
-        _write_golomb(encoder, count - min(likely, previous))
+        write_signed(encoder, count - min(likely, previous), _COUNT_ORDER)
         previous = count
 
 
@@ -151,29 +160,9 @@ def _read_counts(decoder: Decoder, rows: list[int], spectrum: Spectrum, step_ind
     counts: list[int] = []
     previous = spectrum.components
     for likely in _expected_counts([1 << 10] * len(rows), spectrum, step_index):
-        count = _read_golomb(decoder) + min(likely, previous) if previous else 0
+        count = read_signed(decoder, _COUNT_ORDER) + min(likely, previous) if previous else 0
         if not 0 <= count <= previous:
             raise CorruptStream(f"a band has {count} components, where {previous} are the most")
         counts.append(count)
         previous = count
     return counts
-
-
-def _write_golomb(encoder: Encoder, value: int) -> None:
-    """Exp-Golomb of a signed integer."""
-    shifted = (2 * value - 1 if value > 0 else -2 * value) + (1 << _COUNT_ORDER)
-    extra = shifted.bit_length() - 1 - _COUNT_ORDER
-    for _ in range(extra):
-        encoder.encode_bits(1, 1)
-    encoder.encode_bits(0, 1)
-    encoder.encode_bits(shifted - (1 << extra + _COUNT_ORDER), extra + _COUNT_ORDER)
-
-
-def _read_golomb(decoder: Decoder) -> int:
-    extra = 0
-    while decoder.decode_bits(1):
-        extra += 1
-        if extra > 16:
-            raise CorruptStream("a count of components is beyond all measure")
-    unsigned = (1 << extra + _COUNT_ORDER | decoder.decode_bits(extra + _COUNT_ORDER)) - (1 << _COUNT_ORDER)
-    return (unsigned + 1) // 2 if unsigned & 1 else -(unsigned // 2)

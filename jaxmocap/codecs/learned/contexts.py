@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Array, Int
 
 from ...components import A, namespace
 
@@ -56,13 +56,15 @@ def smooth_magnitude(levels: A) -> A:
     return OCTAVE * jnp.log2(1 + jnp.abs(levels))
 
 
-def expected(prior: Int[np.ndarray, "..."]) -> Int[np.ndarray, "..."]:
-    """About the magnitude of a level whose scale is 2^(prior / 16) steps."""
-    return np.maximum(prior, 0) + (OCTAVE >> np.minimum(np.abs(prior) // OCTAVE, 5))
+def expected(prior: A) -> A:
+    """About the magnitude of a level whose scale is 2^(prior / 16) steps; of JAX's priors with no jumps."""
+    if namespace(prior) is np:
+        return np.maximum(prior, 0) + (OCTAVE >> np.minimum(np.abs(prior) // OCTAVE, 5))
+    return jnp.maximum(prior, 0) + OCTAVE * jnp.minimum(jnp.exp2(0.5 - jnp.abs(prior) / OCTAVE), 1)
 
 
-def clipped(prior: Int[np.ndarray, "..."]) -> Int[np.ndarray, "..."]:
-    return np.clip(prior, *_PRIOR_RANGE)
+def clipped(prior: A) -> A:
+    return namespace(prior).clip(prior, *_PRIOR_RANGE)
 
 
 @dataclass(frozen=True)
@@ -90,6 +92,14 @@ class Neighbours:
         before, after, left, right = self.margins
         return namespace(values).pad(values, ((before, after), (left, right))).reshape(-1)
 
+    def around(self, values: Array, offsets: tuple[tuple[int, int], ...]) -> Array:
+        """(rows, components, offsets): neighbours by slices, since the gradient of a gather is a scatter, which is slow."""
+        before, after, left, right = self.margins
+        x = jnp.pad(values, ((before, after), (left, right)))
+        return jnp.stack([
+            x[before + dt : before + dt + self.rows, left + dk : left + dk + self.components] for dt, dk in offsets
+        ], -1)  # fmt: skip
+
     def steps(self, offsets: tuple[tuple[int, int], ...]) -> np.ndarray:
         return np.array([dt * self.width + dk for dt, dk in offsets])
 
@@ -108,8 +118,8 @@ class BandContexts:
     """`fixed` holds the inputs that are known before the band: (places, inputs). `expected` is (rows, components)."""
 
     slow: bool
-    fixed: np.ndarray
-    expected: np.ndarray
+    fixed: np.ndarray | Array
+    expected: np.ndarray | Array
     neighbours: Neighbours
 
     def inputs(self, own: A, excess: A, where: np.ndarray | slice) -> A:
@@ -124,41 +134,60 @@ class BandContexts:
     def inputs_of(self, magnitudes: A, where: np.ndarray | slice = slice(None)) -> A:
         """The inputs of these places, once all magnitudes are known: (places, inputs)."""
         n = self.neighbours
+        if namespace(magnitudes) is jnp:
+            near = n.around(magnitudes - self.expected, SLOW_OTHERS if self.slow else FAST_OTHERS)
+            parts = [n.around(magnitudes, SLOW_OWN), near] if self.slow else [near]
+            return jnp.concatenate([self.fixed, *(x.reshape(-1, x.shape[-1]) for x in parts)], 1)[where]
         return self.inputs(n.padded(magnitudes), n.padded(magnitudes - self.expected), where)
 
 
-def slow_contexts(prior: Int[np.ndarray, "rows components"], step_index: int) -> BandContexts:
+def slow_contexts(prior: Int[A, "rows components"], step_index: int | Array) -> BandContexts:
     """Of the lowest band; `prior` is 16 log2 of what the corpus expects, in steps."""
     rows, components = prior.shape
+    xp = namespace(prior)
     prior = clipped(prior)
     row, component = np.meshgrid(np.arange(rows), np.arange(components), indexing="ij")
-    fixed = np.stack([
+    fixed = xp.stack([
         prior, component, OCTAVE * (component < PATH), OCTAVE * (component < PATH - 1), magnitude(row) // 2,
-        np.full_like(row, magnitude(np.array(rows)) // 2), np.full_like(row, step_index // 4),
+        np.full_like(row, magnitude(np.array(rows)) // 2), xp.broadcast_to(_quarter(step_index), row.shape),
     ], -1)  # fmt: skip
     return BandContexts(True, fixed.reshape(rows * components, fixed.shape[-1]), expected(prior), Neighbours.of(rows, components))
 
 
 def fast_contexts(
-    prior: Int[np.ndarray, "rows components"], step_index: int, octave: int, parents: A
+    prior: Int[A, "rows components"], step_index: int | Array, octave: int, parents: A
 ) -> BandContexts:
     """Of an octave (0: the lowest); `parents` are the magnitudes of the octave below, or of the lowest band over time."""
     rows, components = prior.shape
     xp = namespace(parents)
     prior = clipped(prior)
     row, component = np.meshgrid(np.arange(rows), np.arange(components), indexing="ij")
-    of_parents = Neighbours.of(len(parents), parents.shape[1])
-    at = np.minimum(row // 2, len(parents) - 1) * parents.shape[1] + component
-    base = of_parents.base[at.ravel()][:, None]
-    near = of_parents.padded(parents)[base + of_parents.steps(PARENTS)]
+    near = _near_parents(parents, row, component)
     mean = parents.sum(0)[:components] // len(parents) if xp is np else parents.mean(0)[:components]
     mean = xp.broadcast_to(mean[None], (rows, components)).reshape(-1, 1)
-    fixed = np.stack([
+    fixed = xp.stack([
         prior, component, OCTAVE * (component < PATH), np.full_like(row, OCTAVE * octave), OCTAVE * (row % 2),
-        np.full_like(row, step_index // 4),
+        xp.broadcast_to(_quarter(step_index), row.shape),
     ], -1)  # fmt: skip
     whole = xp.concatenate([xp.asarray(fixed.reshape(rows * components, fixed.shape[-1])), near, mean], 1)
     return BandContexts(False, whole, expected(prior), Neighbours.of(rows, components))
+
+
+def _near_parents(parents: A, row: np.ndarray, component: np.ndarray) -> A:
+    """Magnitudes around the parent of every place: (places, neighbours)."""
+    rows, components = parents.shape
+    n = Neighbours.of(rows, components)
+    parent = np.minimum(row // 2, rows - 1)
+    if namespace(parents) is np:
+        base = n.base[(parent * components + component).ravel()][:, None]
+        return n.padded(parents)[base + n.steps(PARENTS)]
+    chosen = jnp.asarray(parent[:, :1] == np.arange(rows)[None], parents.dtype)  # rows by a matrix, as others by slices
+    near = n.around(parents, PARENTS)[:, : row.shape[1]]
+    return (chosen @ near.reshape(rows, -1)).reshape(-1, len(PARENTS))
+
+
+def _quarter(step_index: int | Array) -> int | Array:
+    return step_index / 4 if isinstance(step_index, Array) else step_index // 4
 
 
 def slow_activity(levels: A) -> A:
@@ -168,7 +197,9 @@ def slow_activity(levels: A) -> A:
     """
     rows = len(levels)
     cosines, scale = _integer_cosines(rows)
-    return cosines @ levels * scale >> 16 if namespace(levels) is np else (cosines @ levels) * (scale / 65536)
+    if namespace(levels) is np:
+        return cosines @ levels * scale >> 16
+    return jnp.asarray(cosines * (scale / 65536), levels.dtype) @ levels
 
 
 @functools.lru_cache(maxsize=16)

@@ -26,6 +26,8 @@ _MOST = 12 * _LOGIT
 _TAIL_LOW, _TAIL_HIGH, _TAIL_PER_OCTAVE = -2, 13, 4
 _WEIGHT_BITS, _HIDDEN_BITS = 10, 6
 _HIDDEN_MOST = 1 << 12
+_BIAS_SCALE = 1 << _WEIGHT_BITS + _HIDDEN_BITS
+_WEIGHT_SCALES = (_BIAS_SCALE // OCTAVE, 1 << _WEIGHT_BITS, 1 << _WEIGHT_BITS)
 _LN2 = float(np.log(2.0))
 
 
@@ -57,11 +59,8 @@ class Density(eqx.Module):
 
     def freeze(self) -> FrozenDensity:
         """The integers that alone encode. Raises ValueError where a weight is too large for them."""
-        first = 1 << _WEIGHT_BITS + _HIDDEN_BITS
-        scales = [first // OCTAVE, 1 << _WEIGHT_BITS, 1 << _WEIGHT_BITS]
-        bias_scales = [first, first, first]
-        weights = [np.rint(np.asarray(w, np.float64) * s) for w, s in zip(self.weights, scales, strict=True)]
-        biases = [np.rint(np.asarray(b, np.float64) * s) for b, s in zip(self.biases, bias_scales, strict=True)]
+        weights = [np.rint(np.asarray(w, np.float64) * s) for w, s in zip(self.weights, _WEIGHT_SCALES, strict=True)]
+        biases = [np.rint(np.asarray(b, np.float64) * _BIAS_SCALE) for b in self.biases]
         if max(np.abs(w).max() for w in weights) > 32767:
             raise ValueError("the network has weights too large to freeze")
         return FrozenDensity([w.astype(np.int16) for w in weights], [b.astype(np.int32) for b in biases])
@@ -93,6 +92,11 @@ class FrozenDensity(NamedTuple):
             if n < len(self.weights) - 1:
                 h = np.clip(h, 0, _HIDDEN_MOST >> _HIDDEN_BITS)
         return h
+
+    def thaw(self) -> Density:
+        """The trainable network that freezes to this one."""
+        weights = [jnp.asarray(w / s, jnp.float32) for w, s in zip(self.weights, _WEIGHT_SCALES, strict=True)]
+        return Density(weights, [jnp.asarray(b / _BIAS_SCALE, jnp.float32) for b in self.biases])
 
     def tensors(self, name: str) -> dict[str, np.ndarray]:
         layers = enumerate(zip(self.weights, self.biases, strict=True))
@@ -141,8 +145,12 @@ def stop_frequencies(outputs: Int[np.ndarray, "places outputs"], logistic: np.nd
 
 def tail_rows(outputs: Int[np.ndarray, "places outputs"]) -> Int[np.ndarray, " places"]:
     """The row of the tail's table for every place."""
-    unit = _LOGIT // _TAIL_PER_OCTAVE
-    return np.clip(outputs[:, STOPS] // unit - _TAIL_LOW * _TAIL_PER_OCTAVE, 0, _tail_count() - 1)
+    return tail_rows_of(outputs[:, STOPS] // (_LOGIT // OCTAVE))
+
+
+def tail_rows_of(reach: Int[np.ndarray, " places"]) -> Int[np.ndarray, " places"]:
+    """The row for a geometric law of reach 2^(reach / 16)."""
+    return np.clip(reach // (OCTAVE // _TAIL_PER_OCTAVE) - _TAIL_LOW * _TAIL_PER_OCTAVE, 0, _tail_count() - 1)
 
 
 def _tail_count() -> int:

@@ -10,6 +10,8 @@ from ...errors import FormatError
 from ..artifact import Artifact
 from ..rig import Rig
 from .basis import Basis
+from .bones import BoneModel
+from .constants import Constants
 from .coefficients import Densities
 from .density import FrozenDensity
 from .distortion import METRICS, Metric
@@ -23,12 +25,14 @@ class LearnedModel:
     rig: Rig
     bases: dict[Metric, Basis]
     densities: Densities
+    constants: Constants
+    bones: BoneModel
 
     def tensors(self) -> dict[str, np.ndarray]:
         """All arrays of the model under the names that they have in its file."""
         d = self.densities
         found = {**self.rig.tensors(), **d.slow.tensors("slow"), **d.fast.tensors("fast")}
-        found |= {"logistic": d.logistic, "tail": d.tail}
+        found |= {"logistic": d.logistic, "tail": d.tail, "constants": self.constants, **self.bones.tensors()}
         for metric, basis in self.bases.items():
             found |= {
                 f"{metric}.mean": basis.mean.astype(np.float32),
@@ -60,4 +64,4 @@ class LearnedModel:
             for metric in METRICS
         }
         densities = Densities(FrozenDensity.load("slow", t), FrozenDensity.load("fast", t), t["logistic"], t["tail"])
-        return LearnedModel(Rig.load(artifact.spec["rig"], t), bases, densities)
+        return LearnedModel(Rig.load(artifact.spec["rig"], t), bases, densities, t["constants"], BoneModel.load(t))

@@ -21,7 +21,7 @@ from .spectrum import Spectrum
 _FINE_SLOPE = 6 / np.log(2)  # bits per squared step at high rate: d rate / d (step^2 / 12)
 _SHARE = 0.15
 _LEAST_CURVATURE = 0.3
-_TOO_FAR = 1.2
+_TOO_FAR, _TIMID, _BOLD = 1.03, 0.6, 1.05
 
 
 class Optimiser:
@@ -36,18 +36,22 @@ class Optimiser:
         wanted = bands.forward(y, octaves)
         self.levels: Levels = [np.rint(w / step).astype(np.int64) for w in wanted]
         self.levels = self.requantised(wanted, 0.5, np.ones(y.shape[1]))
-        self._first_levels, self._timid = self.levels, 1.0
-        self._first_error = distortion.errors(self.reconstruction()).mean()
+        self._last, self._timid = (float(self.errors().mean()), self.levels), 1.0
 
     def reconstruction(self) -> Float[np.ndarray, "frames components"]:
         return bands.inverse([l * self.step for l in self.levels])
 
+    def errors(self) -> Float[np.ndarray, "points frames"]:
+        return self.distortion.errors(self.reconstruction())
+
     def round(self, weight: float, share: float = _SHARE, of_points: np.ndarray | float = 1.0) -> np.ndarray:
         """One round of moves; gives the errors (points, frames) before it."""
         error, pull, curvature = self.distortion.gradient(self.reconstruction(), 0.2 * self.step, of_points)
-        if error.mean() > _TOO_FAR * self._first_error:  # moves upset each other: back, and fewer at a time
-            self.levels, self._timid = self._first_levels, self._timid / 2
+        mean = float(error.mean())
+        if mean > _TOO_FAR * self._last[0]:  # moves upset each other: back, and fewer at a time
+            self.levels, self._timid = self._last[1], self._timid * _TIMID
             return error
+        self._last, self._timid = (mean, self.levels), min(self._timid * _BOLD, 1.0)
         newton = bands.forward(pull / curvature / self.curvature[None], self.octaves)
         wanted = [l * self.step - n for l, n in zip(self.levels, newton, strict=True)]
         moved = self.requantised(wanted, weight, self.curvature)

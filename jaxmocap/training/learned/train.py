@@ -19,6 +19,7 @@ from ...codecs.artifact import Artifact, make_artifact
 from ...codecs.learned import bands
 from ...codecs.learned.basis import Basis, direction_of
 from ...codecs.learned.coefficients import Densities, Levels, active_components
+from ...codecs.learned.constants import constants_of
 from ...codecs.learned.contexts import FAST_INPUTS, SLOW_INPUTS
 from ...codecs.learned.density import Density, logistic_table, tail_table
 from ...codecs.learned.distortion import METRICS, Distortion, Metric
@@ -36,6 +37,7 @@ from ..corpus import Corpus
 from ..loop import Stage, State, run
 from ..rigs import fit_rig
 from . import densities as fit
+from .bones import fit_bones
 from .moments import jacobian_moment, weighted_klt
 from .rows import Rows, empty, joined, rows_of
 
@@ -88,7 +90,10 @@ class Trainer:
         return stages
 
     def model(self, state: State) -> LearnedModel:
-        return LearnedModel(self._rig(state), {m: self._basis(state, m) for m in METRICS}, self._densities(state))
+        return LearnedModel(
+            self._rig(state), {m: self._basis(state, m) for m in METRICS}, self._densities(state), state["constants"],
+            fit_bones(np.unique(state["bones"], axis=0) * state["unit"][0]),
+        )  # fmt: skip
 
     def _add_rotations(self, state: State, item: int) -> State:
         motion = self._motion(item)
@@ -96,12 +101,14 @@ class Trainer:
         path, body = plain.analyse(motion, motion.scale)
         local, _ = plain.local(np.zeros_like(path), body)
         total = local.sum(-1).transpose(2, 0, 1)
+        still = constants_of(motion.values)
         bones = np.concatenate([motion.skeleton.offsets, motion.skeleton.end_offsets])[None]
         return {
             "rotations": state.get("rotations", 0.0) + total,
             "bones": np.concatenate([*([state["bones"]] if "bones" in state else []), bones]),
             "frames": np.append(state.get("frames", np.zeros(0, np.int64)), motion.frame_count),
             "unit": np.array([motion.scale, motion.frame_time]),
+            "constants": np.where(state.get("constants", still) == still, still, np.nan),
         }
 
     def _add_moments(self, state: State, item: int) -> State:

@@ -1,0 +1,94 @@
+"""The bones of a person of a known rig, in about 15 bytes: how they stray from the rig's mean, scaled to the person.
+
+Every component of every bone strays by its own measure, which the model knows, and often as its mirror image did.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from ...errors import CorruptStream
+from ..entropy import integers
+from ..entropy.range_coder import RangeDecoder, RangeEncoder
+from .coefficients import decode_signs, encode_signs
+from .density import tail_rows_of
+
+FINENESSES = 16
+_FINEST = -13  # the step of fineness 0 is 2^-13 cm
+_FIXED_POINT = 16
+_SIZE_BITS = 8
+_SIZE = 1 << _SIZE_BITS - 1
+
+
+@dataclass(frozen=True, eq=False)
+class BoneModel:
+    """`mean` holds x, y, z of every bone in 2^-16 cm; `spread` is 16 log2 of how far each strays, in cm.
+
+    `partner[b]` is an earlier bone that strays alike (-1: none), `mirror[b]` the signs with which it does.
+    """
+
+    mean: Int[np.ndarray, "bones 3"]
+    spread: Int[np.ndarray, "bones 3"]
+    partner: Int[np.ndarray, " bones"]
+    mirror: Int[np.ndarray, "bones 3"]
+
+    def tensors(self) -> dict[str, np.ndarray]:
+        return {
+            "bones.mean": self.mean.astype(np.int32), "bones.spread": self.spread.astype(np.int16),
+            "bones.partner": self.partner.astype(np.int16), "bones.mirror": self.mirror.astype(np.int8),
+        }  # fmt: skip
+
+    @staticmethod
+    def load(tensors: dict[str, np.ndarray]) -> BoneModel:
+        return BoneModel(*(tensors[f"bones.{name}"].astype(np.int64) for name in ("mean", "spread", "partner", "mirror")))
+
+    def predicted(self, size: int, octave: int) -> Int[np.ndarray, "bones 3"]:
+        """The mean at a size (128: as it is), in multiples of 2^octave cm, by integers alone."""
+        shift = _SIZE_BITS - 1 + _FIXED_POINT + octave
+        return self.mean * size + (1 << shift - 1) >> shift
+
+
+def write_bones(bones: Float[np.ndarray, "bones 3"], model: BoneModel, fineness: int, tail: np.ndarray) -> bytes:
+    """Bones in cm, to multiples of 2^(fineness - 13) cm."""
+    octave = fineness + _FINEST
+    mean_length = np.linalg.norm(model.mean, axis=1) / (1 << _FIXED_POINT)
+    used = mean_length > 0
+    ratio = np.median(np.linalg.norm(bones[used], axis=1) / mean_length[used]) if used.any() else 1.0
+    size = int(np.clip(np.rint(_SIZE * ratio), 1, 2 * _SIZE - 1))
+    strayed = np.rint(np.ldexp(bones, -octave)).astype(np.int64) - model.predicted(size, octave)
+    encoder = RangeEncoder()
+    encoder.encode_bits(size, _SIZE_BITS)
+    for b, own in enumerate(strayed):
+        levels = own - _of_partner(model, strayed, b)
+        symbol, raw, count = integers.split(np.abs(levels))
+        encoder.encode_each(symbol, _frequencies(model, b, octave, tail))
+        for value, bits in zip(raw.tolist(), count.tolist(), strict=True):
+            encoder.encode_bits(value, bits)
+        encode_signs(encoder, levels[levels != 0])
+    return encoder.finish()
+
+
+def read_bones(data: bytes, model: BoneModel, fineness: int, tail: np.ndarray) -> Float[np.ndarray, "bones 3"]:
+    """In cm. Raises CorruptStream where no encoder wrote such bytes."""
+    octave = fineness + _FINEST
+    decoder = RangeDecoder(data)
+    size = decoder.decode_bits(_SIZE_BITS)
+    if not size:
+        raise CorruptStream("the stream's skeleton has no size")
+    strayed = np.zeros_like(model.mean)
+    for b in range(len(strayed)):
+        symbols = decoder.decode_each(_frequencies(model, b, octave, tail))
+        sizes = np.array([integers.join(s, decoder.decode_bits(integers.raw_bits(s))) for s in symbols.tolist()], np.int64)
+        strayed[b] = decode_signs(decoder, sizes) + _of_partner(model, strayed, b)
+    return np.ldexp((model.predicted(size, octave) + strayed).astype(np.float64), octave)
+
+
+def _of_partner(model: BoneModel, strayed: np.ndarray, b: int) -> np.ndarray | int:
+    return model.mirror[b] * strayed[model.partner[b]] if model.partner[b] >= 0 else 0
+
+
+def _frequencies(model: BoneModel, b: int, octave: int, tail: np.ndarray) -> Int[np.ndarray, "3 symbols"]:
+    return tail[tail_rows_of(model.spread[b] - 16 * octave)].astype(np.int64) + 1
