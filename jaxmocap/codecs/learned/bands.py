@@ -9,7 +9,6 @@ from __future__ import annotations
 import functools
 import math
 
-import numpy as np
 from jaxtyping import Float
 
 from ...components import A, namespace

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import math
+from dataclasses import replace
 from typing import Literal
 
 import equinox as eqx
@@ -17,19 +18,19 @@ from ...errors import CorruptStream, JaxmocapError
 from ...features.channels import has_euler_orders
 from ...features.recovery import freed, recover
 from ...kinematics import pose
-from ...metrics import compare
 from ...motion import Motion
+from ...skeleton import Skeleton
 from ..artifact import Artifact, find_artifact, parse_artifact
-from ..bitstream import ByteReader, varint
 from ..base import AbstractCodec, Target, frame_range
+from ..bitstream import ByteReader, varint
 from ..container import DIGEST_BYTES, Header, Stream, read_stream, write_stream
-from ..quantise import PER_OCTAVE, step_cm
+from ..quantise import step_cm
 from ..rig import bones_of, with_bones
 from . import bands
-from .bones import read_bones, write_bones
+from .bones import FINENESSES, read_bones, write_bones
 from .constants import with_constants, write_constants
-from .distortion import METRICS, Metric
-from .encoder import Source, encode_to
+from .distortion import METRICS, Metric, points_of
+from .encoder import Source, encode_to, rough_bytes, typical_mean
 from .figure import in_cm
 from .model import LearnedModel
 from .payload import read_payload, write_payload
@@ -84,21 +85,21 @@ class Learned(AbstractCodec):
 
     def _encode(self, motion: Motion, model: LearnedModel, target: Target) -> bytes:
         rig = model.rig
-        known = rig.skeleton.same_rig(motion.skeleton)
-        scale = motion.unit_cm or (rig.unit_cm if known else 1.0)
+        scale = motion.unit_cm or rig.unit_cm
         target = Target(target.kind, target.cm * scale / motion.scale)
-        bones = _bone_fineness(target)
-        section = write_bones(bones_of(motion.skeleton) * scale, model.bones, bones, model.densities.tail)
-        skeleton = with_bones(rig.skeleton, read_bones(section, model.bones, bones, model.densities.tail))
-        decoding = PoseVectors(skeleton, rig.expected)
         original = PoseVectors(in_cm(motion.skeleton, scale), rig.expected)
         basis = model.bases[self.metric]
+        parts = [
+            original.analyse(motion.frames(start, start + CHUNK_FRAMES), scale)
+            for start in range(0, motion.frame_count, CHUNK_FRAMES)
+        ]
+        octaves = bands.octave_count(motion.frame_time)
+        sources = [Source(original, original, *part, octaves, basis, self.metric, model.densities) for part in parts]
+        bones = _bone_fineness(sources, model, typical_mean(target))
+        section, decoding = _bones(original, model, bones)
         chunks = []
-        for start in range(0, motion.frame_count, CHUNK_FRAMES):
-            path, body = original.analyse(motion.frames(start, start + CHUNK_FRAMES), scale)
-            octaves = bands.octave_count(motion.frame_time)
-            source = Source(original, decoding, path, body, octaves, basis, self.metric, model.densities)
-            index, coded = encode_to(source, target)
+        for source in sources:
+            index, coded = encode_to(replace(source, decoding=decoding), target)
             chunks.append(write_payload(coded, index, basis, model.densities))
         constants = write_constants(motion, model.constants)
         if constants:
@@ -146,10 +147,24 @@ def decode(stream: Stream, at_hand: Artifact | None, frames: slice | None = None
     return Motion(skeleton, values[start - skipped : stop - skipped], frame_time, unit_cm)
 
 
-def _bone_fineness(target: Target) -> int:
-    """Bones are multiples of 2^(fineness - 13) cm: about a third of the error."""
-    mean_cm = {"mean": target.cm, "max": target.cm / 4, "step": 0.59 * target.cm**0.73}[target.kind]
-    return int(np.clip(round(math.log2(mean_cm / 3)) + 13, 0, 15))
+def _bone_fineness(sources: list[Source], model: LearnedModel, mean_cm: float) -> int:
+    """The fineness of bones that costs least: their bytes, and those that their error takes from what the levels may err."""
+    usual = int(np.clip(round(math.log2(mean_cm / 3)) + 13, 2, FINENESSES - 2))
+    levels = sum(rough_bytes(source, mean_cm) for source in sources)
+    costs = {}
+    for fineness in range(usual - 2, usual + 2):
+        section, decoding = _bones(sources[0].original, model, fineness)
+        distortion = replace(sources[0], decoding=decoding).distortion
+        share = float(distortion.errors(sources[0].coefficients).mean()) / mean_cm
+        costs[fineness] = len(section) + levels * share**2 / 2
+    return min(costs, key=lambda fineness: costs[fineness])
+
+
+def _bones(original: PoseVectors, model: LearnedModel, fineness: int) -> tuple[bytes, PoseVectors]:
+    """The bones' bytes, and the figure that decodes from them."""
+    section = write_bones(bones_of(original.skeleton), model.bones, fineness, model.densities.tail)
+    bones = read_bones(section, model.bones, fineness, model.densities.tail)
+    return section, PoseVectors(with_bones(original.skeleton, bones), original.mean)
 
 
 def _codable(motion: Motion) -> Motion:
@@ -168,9 +183,15 @@ def _error(motion: Motion, decoded: Motion, metric: Metric, target: Target) -> f
     """What the target speaks of, in cm, or in file units where the unit is unknown; 0 where it speaks of no error."""
     if target.kind == "step":
         return 0.0
-    error = compare(motion, decoded)[f"{target.kind}_cm" if metric == "joints" else f"shell_{target.kind}_cm"]
-    assert isinstance(error, float)
-    return error
+    scale = motion.scale
+    figures = [PoseVectors(in_cm(m.skeleton, scale), _upright(m.skeleton)) for m in (motion, decoded)]
+    points = [points_of(f, metric, *f.analyse(m, scale)) for f, m in zip(figures, (motion, decoded), strict=True)]
+    errors = np.linalg.norm(points[0] - points[1], axis=0)
+    return float(errors.mean(dtype=np.float64) if target.kind == "mean" else errors.max())
+
+
+def _upright(skeleton: Skeleton) -> np.ndarray:
+    return np.tile(np.eye(3), (skeleton.joint_count, 1, 1))
 
 
 def _params(header: Header) -> tuple[Metric, int]:

@@ -5,7 +5,6 @@ The network says, as logits, whether a magnitude stops at 0, at 1 and at 2, and 
 
 from __future__ import annotations
 
-import functools
 from typing import NamedTuple
 
 import equinox as eqx
@@ -95,8 +94,8 @@ class FrozenDensity(NamedTuple):
 
     def thaw(self) -> Density:
         """The trainable network that freezes to this one."""
-        weights = [jnp.asarray(w / s, jnp.float32) for w, s in zip(self.weights, _WEIGHT_SCALES, strict=True)]
-        return Density(weights, [jnp.asarray(b / _BIAS_SCALE, jnp.float32) for b in self.biases])
+        weights = [jnp.asarray(w / s, float) for w, s in zip(self.weights, _WEIGHT_SCALES, strict=True)]
+        return Density(weights, [jnp.asarray(b / _BIAS_SCALE, float) for b in self.biases])
 
     def tensors(self, name: str) -> dict[str, np.ndarray]:
         layers = enumerate(zip(self.weights, self.biases, strict=True))

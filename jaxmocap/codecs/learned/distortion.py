@@ -28,7 +28,7 @@ def points(pose: Pose, end_joints: tuple[int, ...], metric: Metric) -> Float[Arr
 class Distortion:
     """Of one motion. `figure` is the one that decodes; `path` and `body` are of the original in the figure `original`.
 
-    `target` are the points of the original; `shift` is added to all coefficients before they are decoded.
+    `target` are the points of the original.
     """
 
     def __init__(
@@ -36,8 +36,7 @@ class Distortion:
         original: PoseVectors, path: np.ndarray, body: np.ndarray,
     ):  # fmt: skip
         self._figure, self._basis, self._metric, self._direction = figure, basis, metric, direction
-        self.target = self._points(original, posed(original, path.astype(np.float32), body.astype(np.float32)))
-        self.shift: np.ndarray | float = 0.0
+        self.target = points_of(original, metric, path.astype(np.float32), body.astype(np.float32))
 
     def gradient(
         self, y: Float[np.ndarray, "frames components"], softening: float, weight: np.ndarray | float = 1.0
@@ -47,7 +46,7 @@ class Distortion:
         Errors below `softening` count as squares, so that the curvature stays bounded. `weight` is of points and frames.
         """
         pose = self._posed(y)
-        difference = self._points(self._figure, pose) - self.target
+        difference = _points(self._figure, self._metric, pose) - self.target
         error = np.sqrt((difference**2).sum(0))
         factor = weight / (error + np.float32(softening))
         return error, self._pull(pose, difference * factor), float(factor.mean())
@@ -63,19 +62,27 @@ class Distortion:
         return total * self.target.shape[1] / _PROBES
 
     def errors(self, y: np.ndarray) -> Float[np.ndarray, "points frames"]:
-        difference = self._points(self._figure, self._posed(y)) - self.target
+        difference = _points(self._figure, self._metric, self._posed(y)) - self.target
         return np.sqrt((difference**2).sum(0))
 
     def _posed(self, y: np.ndarray) -> Posed:
-        return posed(self._figure, *self._basis.vectors((y + self.shift).astype(np.float32), self._direction))
-
-    def _points(self, figure: PoseVectors, pose: Posed) -> Float[np.ndarray, "3 points frames"]:
-        return pose.at if self._metric == "joints" else virtual_work.shell_points(figure, pose)
+        return posed(self._figure, *self._basis.vectors(y.astype(np.float32), self._direction))
 
     def _pull(self, pose: Posed, force: np.ndarray) -> Float[np.ndarray, "frames components"]:
         pull = virtual_work.joint_pull if self._metric == "joints" else virtual_work.shell_pull
         path, body = pull(self._figure, pose, force / self.target.shape[1])
         return self._basis.pull(path, body, self._direction)
+
+
+def points_of(
+    figure: PoseVectors, metric: Metric, path: np.ndarray, body: np.ndarray
+) -> Float[np.ndarray, "3 points frames"]:
+    """What the metric looks at, in cm, of path and body; on the host, in their precision."""
+    return _points(figure, metric, posed(figure, path, body))
+
+
+def _points(figure: PoseVectors, metric: Metric, pose: Posed) -> Float[np.ndarray, "3 points frames"]:
+    return pose.at if metric == "joints" else virtual_work.shell_points(figure, pose)
 
 
 def decoded_points(

@@ -31,6 +31,11 @@ class Jumps(NamedTuple):
     frames: Int[np.ndarray, " jumps"]
     levels: Int[np.ndarray, "jumps components"]
 
+    @staticmethod
+    def over(y: Float[np.ndarray, "frames components"], frames: Int[np.ndarray, " jumps"], step: float) -> Jumps:
+        """The jumps of coefficients to these frames."""
+        return Jumps(frames, np.rint((y[frames] - y[frames - 1]) / step).astype(np.int64))
+
     def shift(self, frames: int, step: float) -> Float[np.ndarray, "frames components"]:
         """What they add to every frame, in cm: nothing at the last."""
         total = np.zeros((frames, self.levels.shape[1]))
@@ -39,21 +44,16 @@ class Jumps(NamedTuple):
         return total
 
 
-def find_jumps(
-    y: Float[np.ndarray, "frames components"], points: Float[np.ndarray, "3 points frames"], step: float
-) -> Jumps:
-    """Where points move by far more from one frame to the next than they do nearby."""
+def find_jumps(points: Float[np.ndarray, "3 points frames"]) -> Int[np.ndarray, " jumps"]:
+    """The frames to which points move by far more than they move nearby."""
     move = np.diff(points, axis=2)
-    frames = []
-    if move.shape[2]:
-        near = [np.roll(move, s, axis=2) for s in range(-_NEAR, _NEAR + 1) if s]
-        usual = np.median(np.stack(near), axis=0) if move.shape[2] > 2 * _NEAR else np.zeros_like(move)
-        odd = np.linalg.norm(move - usual, axis=0).mean(0)
-        calm = np.median(np.stack([np.roll(odd, s) for s in range(-_NEAR, _NEAR + 1)]), axis=0)
-        frames = np.flatnonzero((odd > _LEAST_CM) & (odd > _TIMES_USUAL * calm)) + 1
-    frames = np.asarray(frames, np.int64)
-    jumped = y[frames] - y[frames - 1]
-    return Jumps(frames, np.rint(jumped / step).astype(np.int64))
+    if not move.shape[2]:
+        return np.zeros(0, np.int64)
+    near = [np.roll(move, s, axis=2) for s in range(-_NEAR, _NEAR + 1) if s]
+    usual = np.median(np.stack(near), axis=0) if move.shape[2] > 2 * _NEAR else np.zeros_like(move)
+    odd = np.linalg.norm(move - usual, axis=0).mean(0)
+    calm = np.median(np.stack([np.roll(odd, s) for s in range(-_NEAR, _NEAR + 1)]), axis=0)
+    return np.flatnonzero((odd > _LEAST_CM) & (odd > _TIMES_USUAL * calm)) + 1
 
 
 def encode_jumps(encoder: Encoder, jumps: Jumps, spectrum: Spectrum, step_index: int, densities: Densities) -> None:

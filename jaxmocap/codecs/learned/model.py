@@ -11,8 +11,8 @@ from ..artifact import Artifact
 from ..rig import Rig
 from .basis import Basis
 from .bones import BoneModel
-from .constants import Constants
 from .coefficients import Densities
+from .constants import Constants
 from .density import FrozenDensity
 from .distortion import METRICS, Metric
 from .spectrum import Spectrum

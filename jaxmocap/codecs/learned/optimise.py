@@ -2,7 +2,7 @@
 
 The mean of distances is no sum of squares, and a step of one coefficient moves other joints in other poses. So the
 encoder looks at what decodes: it pulls every coefficient down the gradient of the true error, weighs each candidate level
-by its curvature against its bits in context, and lets a random sixth of all coefficients move at a time, since moves
+by its curvature against its bits in context, and lets a random third of all coefficients move at a time, since moves
 that are good alone may be bad together. The decoder knows nothing of it.
 """
 
@@ -19,40 +19,48 @@ from .distortion import Distortion
 from .spectrum import Spectrum
 
 _FINE_SLOPE = 6 / np.log(2)  # bits per squared step at high rate: d rate / d (step^2 / 12)
-_SHARE = 0.15
+WEIGHT = 0.85  # of distortion against rate, where 1 is the slope of high rates
+_SHARE = 0.3
 _LEAST_CURVATURE = 0.3
+_SOFT = 0.4
+_STILL = 1e-4  # cm: components that the motion does not use at all stay unused, so that constant channels do
+_BOLDNESS = 0.8
 _TOO_FAR, _TIMID, _BOLD = 1.03, 0.6, 1.05
 
 
 class Optimiser:
     """Of one motion at one step; `levels` holds the best so far, and is changed round by round."""
 
-    def __init__(self, y: Float[np.ndarray, "frames components"], octaves: int, distortion: Distortion, spectrum: Spectrum,
-                 densities: Densities, step_index: int, step: float):  # fmt: skip
+    def __init__(
+        self, y: Float[np.ndarray, "frames components"], shift: np.ndarray | float, octaves: int, distortion: Distortion,
+        curvatures: Float[np.ndarray, " components"], spectrum: Spectrum, densities: Densities, step_index: int, step: float,
+    ):  # fmt: skip
         self.octaves, self.distortion, self.spectrum, self.densities = octaves, distortion, spectrum, densities
-        self.step_index, self.step = step_index, step
-        self.curvature = np.maximum(distortion.curvatures(y), _LEAST_CURVATURE)
+        self.step_index, self.step, self.shift = step_index, step, shift
+        self.curvature = np.maximum(_BOLDNESS * curvatures, _LEAST_CURVATURE)
         self._random = np.random.default_rng(0)
+        self._moves = np.abs(y).max(0) > _STILL
         wanted = bands.forward(y, octaves)
         self.levels: Levels = [np.rint(w / step).astype(np.int64) for w in wanted]
         self.levels = self.requantised(wanted, 0.5, np.ones(y.shape[1]))
         self._last, self._timid = (float(self.errors().mean()), self.levels), 1.0
 
     def reconstruction(self) -> Float[np.ndarray, "frames components"]:
-        return bands.inverse([l * self.step for l in self.levels])
+        """All coefficients as they decode, in cm; `shift` is what jumps add to those of the levels."""
+        return bands.inverse([l * self.step for l in self.levels]) + self.shift
 
     def errors(self) -> Float[np.ndarray, "points frames"]:
         return self.distortion.errors(self.reconstruction())
 
     def round(self, weight: float, share: float = _SHARE, of_points: np.ndarray | float = 1.0) -> np.ndarray:
         """One round of moves; gives the errors (points, frames) before it."""
-        error, pull, curvature = self.distortion.gradient(self.reconstruction(), 0.2 * self.step, of_points)
+        error, pull, curvature = self.distortion.gradient(self.reconstruction(), _SOFT * self.step, of_points)
         mean = float(error.mean())
         if mean > _TOO_FAR * self._last[0]:  # moves upset each other: back, and fewer at a time
             self.levels, self._timid = self._last[1], self._timid * _TIMID
             return error
         self._last, self._timid = (mean, self.levels), min(self._timid * _BOLD, 1.0)
-        newton = bands.forward(pull / curvature / self.curvature[None], self.octaves)
+        newton = bands.forward(np.where(self._moves, pull / (curvature * self.curvature)[None], 0.0), self.octaves)
         wanted = [l * self.step - n for l, n in zip(self.levels, newton, strict=True)]
         moved = self.requantised(wanted, weight, self.curvature)
         self.levels = [

@@ -9,19 +9,17 @@ from __future__ import annotations
 import functools
 from dataclasses import dataclass
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from scipy.spatial.transform import Rotation
 
 from ... import components as rot
 from ...components import A, namespace
-from ...features.alignment import heading
 from ...features.channels import rotation_order, values_of
-from ...kinematics import Pose, local_rotations
+from ...kinematics import Pose, compose
 from ...motion import Motion
-from ...rotations import to_quaternion
-from ...skeleton import POSITION_CHANNELS, Skeleton
+from ...skeleton import POSITION_CHANNELS, ROTATION_CHANNELS, Skeleton
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,17 +49,17 @@ class PoseVectors:
 
     def analyse(self, motion: Motion, scale: float) -> tuple[np.ndarray, np.ndarray]:
         """Path (frames, 3) in cm and radians, and body (frames, size), of a motion whose unit is `scale` cm."""
-        local = np.asarray(_local_rotations(motion.skeleton, jnp.asarray(motion.values)), np.float64)
+        local = local_rotations(motion)
         place = np.asarray(_translations(motion), np.float64) * scale
-        turn = np.asarray(heading(jnp.asarray(local[:, 0])), np.float64) if self.has_heading else np.zeros(len(local))
+        turn = _heading(local[:, 0]) if self.has_heading else np.zeros(len(local))
         local[:, 0] = np.einsum("fji,fjk->fik", np.moveaxis(_about_y(turn), -1, 0), local[:, 0])
         relative = np.swapaxes(self.mean[self.turning], -1, -2)[None] @ local[:, self.turning]
-        shifts = self._shifts(place)
+        shifts = self.shifts(place)
         path = np.stack([place[:, 0, 0], place[:, 0, 2], turn], 1)
         vectors = _continuous_vectors(relative).reshape(len(local), -1)
         return path, np.concatenate([place[:, 0, 1:2], vectors, shifts.reshape(len(local), -1)], 1)
 
-    def _shifts(self, place: np.ndarray) -> np.ndarray:
+    def shifts(self, place: A) -> A:
         """Of sliding joints: from where their bone ends, or from under joint 0 for further roots."""
         return place[:, self.sliding] - self._rest(place)
 
@@ -95,15 +93,7 @@ class PoseVectors:
     def pose(self, path: Float[Array, "frames 3"], body: Float[Array, "frames size"]) -> Pose:
         """Global pose in cm; differentiable."""
         local, place = self.local(path, body)
-        turned, at = [], []
-        for j, parent in enumerate(self.skeleton.parents):
-            turned.append(rot.multiply(turned[parent], local[:, :, j]) if parent >= 0 else local[:, :, j])
-            at.append(at[parent] + rot.apply(turned[parent], place[:, j]) if parent >= 0 else place[:, j])
-        ends = [
-            at[j] + rot.apply(turned[j], jnp.asarray(offset, body.dtype)[:, None])
-            for j, offset in zip(self.skeleton.end_joints, self.skeleton.end_offsets, strict=True)
-        ]
-        return Pose(_frames_first(at), jnp.moveaxis(jnp.stack(turned), (0, -1), (1, 0)), _frames_first(ends))
+        return compose(self.skeleton, local.transpose(3, 2, 0, 1), place.transpose(2, 1, 0))
 
     def values(self, path: np.ndarray, body: np.ndarray, scale: float) -> Float[np.ndarray, "frames channels"]:
         """Channel values in degrees and file units; on the host, where nothing need be compiled."""
@@ -121,7 +111,7 @@ def _spread(turned: A, turning: np.ndarray, still: A, joints: int) -> A:
 
 def _continuous_vectors(rotations: Float[np.ndarray, "frames joints 3 3"]) -> Float[np.ndarray, "frames joints 3"]:
     """Rotation vectors that do not jump from frame to frame, up to a length of a whole turn."""
-    q = np.asarray(_quaternions(jnp.asarray(rotations)), np.float64)
+    q = _quaternions(rotations)
     turned = np.cumprod(np.where((q[1:] * q[:-1]).sum(-1) < 0, -1.0, 1.0), 0)
     q[1:] *= turned[..., None]
     q *= np.where(q[..., 0].sum(0) < 0, -1.0, 1.0)[None, :, None]
@@ -131,18 +121,38 @@ def _continuous_vectors(rotations: Float[np.ndarray, "frames joints 3 3"]) -> Fl
     return q[..., 1:] * factor[..., None]
 
 
-def _frames_first(vectors: list[Array]) -> Float[Array, "frames joints 3"]:
-    return jnp.stack(vectors).transpose(2, 0, 1) if vectors else jnp.zeros((0,))
-
-
 def _about_y(angle: A) -> A:
     xp = namespace(angle)
     axis = xp.asarray(np.array([0.0, 1.0, 0.0]), angle.dtype).reshape(3, *[1] * angle.ndim)
     return rot.about_axis(axis, angle)
 
 
-_local_rotations = eqx.filter_jit(local_rotations)
-_quaternions = eqx.filter_jit(to_quaternion)
+def local_rotations(motion: Motion) -> Float[np.ndarray, "frames joints 3 3"]:
+    """Of every joint in its parent's frame; on the host, as `kinematics.local_rotations` has them."""
+    s = motion.skeleton
+    angles = np.deg2rad(motion.values)
+    local = np.tile(np.eye(3)[..., None, None], (1, 1, s.joint_count, len(angles)))
+    orders = [rotation_order(channels) for channels in s.channels]
+    for order in set(orders) - {""}:
+        joints = [j for j, o in enumerate(orders) if o == order]
+        columns = [[s.first_column[j] + n for n, c in enumerate(s.channels[j]) if c in ROTATION_CHANNELS] for j in joints]
+        local[:, :, joints] = rot.from_euler(angles[:, np.array(columns)].transpose(2, 1, 0), order)
+    if s.has_axes:
+        axes = s.axes.transpose(1, 2, 0)[..., None]
+        local = rot.multiply(rot.multiply(axes, local), rot.transpose(axes))
+    return local.transpose(3, 2, 0, 1)
+
+
+def _heading(rotations: Float[np.ndarray, "frames 3 3"]) -> Float[np.ndarray, " frames"]:
+    """As `features.alignment.heading`."""
+    r = rotations
+    return np.unwrap(np.arctan2(r[:, 0, 2] - r[:, 2, 0], r[:, 0, 0] + r[:, 2, 2]))
+
+
+def _quaternions(rotations: Float[np.ndarray, "frames joints 3 3"]) -> Float[np.ndarray, "frames joints 4"]:
+    """w, x, y, z."""
+    q = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_quat(scalar_first=True)
+    return q.reshape(*rotations.shape[:2], 4)
 
 
 def _translations(motion: Motion) -> Float[np.ndarray, "frames joints 3"]:

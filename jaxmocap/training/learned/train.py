@@ -22,10 +22,12 @@ from ...codecs.learned.coefficients import Densities, Levels, active_components
 from ...codecs.learned.constants import constants_of
 from ...codecs.learned.contexts import FAST_INPUTS, SLOW_INPUTS
 from ...codecs.learned.density import Density, logistic_table, tail_table
-from ...codecs.learned.distortion import METRICS, Distortion, Metric
+from ...codecs.learned.distortion import METRICS, Metric
+from ...codecs.learned.encoder import Attempt, Source
 from ...codecs.learned.figure import in_cm
+from ...codecs.learned.klt import jacobian_moment, weighted_klt
 from ...codecs.learned.model import LearnedModel
-from ...codecs.learned.optimise import Optimiser
+from ...codecs.learned.optimise import WEIGHT
 from ...codecs.learned.pose_vectors import PoseVectors
 from ...codecs.learned.spectrum import Spectrum, fit_spectrum
 from ...codecs.quantise import PER_OCTAVE, step_cm
@@ -38,13 +40,12 @@ from ..loop import Stage, State, run
 from ..rigs import fit_rig
 from . import densities as fit
 from .bones import fit_bones
-from .moments import jacobian_moment, weighted_klt
 from .rows import Rows, empty, joined, rows_of
 
 HIDDEN = 48
 _EPOCHS = {"plain": 4, "optimal": 4, "final": 6}
 _ROUNDS = 12
-_STEPS = {"plain": (1 * PER_OCTAVE, 12 * PER_OCTAVE), "optimal": (3 * PER_OCTAVE, 12 * PER_OCTAVE), "final": (0, 12 * PER_OCTAVE)}
+_STEPS = {"plain": (1 * PER_OCTAVE, 12 * PER_OCTAVE), "optimal": (3 * PER_OCTAVE, 12 * PER_OCTAVE), "final": (PER_OCTAVE, 12 * PER_OCTAVE)}
 _DRAWS = {"plain": 4, "optimal": 1, "final": 2}
 _HELD_OUT = 7  # every seventh file says when to stop
 
@@ -153,16 +154,16 @@ class Trainer:
         return state
 
     def _levels(self, state: State, metric: Metric, basis: Basis, item: int, index: int, optimal: bool) -> Levels:
-        direction, y = self._coefficients(state, basis, item)
         octaves, step = self._octaves(state), step_cm(index)
         if not optimal:
+            _, y = self._coefficients(state, basis, item)
             wanted = bands.forward(y, octaves)
             return [(np.sign(w) * np.floor(np.abs(w) / step + 0.33)).astype(np.int64) for w in wanted]
         figure, path, body = self._vectors(state, item)
-        distortion = Distortion(figure, basis, metric, direction, figure, path, body)
-        optimiser = Optimiser(y, octaves, distortion, basis.spectrum, self._densities(state), index, step)
+        source = Source(figure, figure, path, body, octaves, basis, metric, self._densities(state))
+        optimiser = Attempt(source, index).optimiser
         for _ in range(_ROUNDS):
-            optimiser.round(0.6)
+            optimiser.round(WEIGHT)
         return optimiser.levels
 
     def _fit_density(self, name: str, state: State, item: int) -> State:
