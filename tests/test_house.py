@@ -13,7 +13,7 @@ PACKAGE = Path(jaxmocap.__file__).parent
 ROOT = Path(__file__).resolve().parents[1]
 LAYERS = ("core", "codecs", "training", "top")  # each may import itself and those before it
 TOP = ("bench", "commands", "__main__")
-PEERS = {"brotli", "fpzip", "pcodec", "pyppmd"}  # of the benchmarks, optional
+PEERS = {"brotli", "fpzip", "pcodec", "pyppmd", "pysz", "zfpy"}
 OUTSIDE = {
     "core": {"jax", "equinox", "numpy", "scipy", "jaxtyping"},
     "codecs": {"jax", "equinox", "numpy", "scipy", "jaxtyping", "constriction", "safetensors", "threadpoolctl", "zstandard"},

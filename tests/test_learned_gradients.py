@@ -1,12 +1,14 @@
 """Gradients through `learned`, and the training that uses them, held to finite differences and to the codec itself."""
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxtyping import Array
 
 from jaxmocap.codecs.learned import bands
 from jaxmocap.codecs.learned.basis import Basis, direction_of
@@ -31,6 +33,8 @@ from jaxmocap.training.learned.joint import Refinement, draw_batch
 FRAMES, STEP_INDEX = 64, 7 * 16
 KEYS = jax.random.key(3)
 TURNS = ROTATION_CHANNELS[::-1]
+T = TypeVar("T")
+levels_of, bits_of = eqx.filter_jit(quantised), eqx.filter_jit(rate)
 
 
 class Case(NamedTuple):
@@ -54,8 +58,8 @@ def dance(seed: int, frames: int = FRAMES) -> Motion:
     random = np.random.default_rng(seed)
     s = little_figure()
     time = np.arange(frames)[:, None, None] / 120
-    wave = np.sin(2 * np.pi * (random.uniform(0.2, 3, (1, 3, s.channel_count)) * time + random.uniform(size=(1, 3, s.channel_count))))
-    return Motion(s, (wave * random.uniform(0, 15, (1, 3, s.channel_count))).sum(1), 1 / 120, 1.0)
+    rate, start, size = random.uniform([[0.2], [0.0], [0.0]], [[3.0], [1.0], [15.0]], (3, 3 * s.channel_count)).reshape(3, 1, 3, -1)
+    return Motion(s, (size * np.sin(2 * np.pi * (rate * time + start))).sum(1), 1 / 30, 1.0)
 
 
 @pytest.fixture(scope="module")
@@ -86,18 +90,25 @@ def vectors(case: Case) -> Vectors:
     return Vectors(*(jnp.asarray(x, float) for x in case.vectors))
 
 
-def assert_is_gradient(f, x, gradient, seed: int) -> None:
-    """Central differences of `f` along random directions, in each leaf of `x` apart."""
+def squares(x: Vectors) -> Array:
+    return (x.path**2).sum() + (x.body**2).sum()
+
+
+def assert_has_gradient(f: Callable[[T], Array], x: T, seed: int) -> None:
+    """Central differences along random directions, in each leaf of `x` apart, are what `f` has for gradient."""
+    both = eqx.filter_jit(eqx.filter_value_and_grad(f))  # one program for all: compiling is what takes time
+    _, gradient = both(x)
+    random = np.random.default_rng(seed)
     leaves, structure = jax.tree.flatten(eqx.filter(x, eqx.is_array))
     slopes = jax.tree.leaves(eqx.filter(gradient, eqx.is_array))
     static = eqx.filter(x, eqx.is_array, inverse=True)
     for n, (leaf, slope) in enumerate(zip(leaves, slopes, strict=True)):
-        direction = jax.random.normal(jax.random.fold_in(jax.random.key(seed), n), leaf.shape, leaf.dtype)
+        direction = jnp.asarray(random.normal(size=leaf.shape))
         size = 1e-6 * float(jnp.abs(leaf).max() + 1e-3)
 
         def at(move: float, n: int = n, direction=direction) -> float:
             moved = [leaf + move * direction if k == n else leaf for k, leaf in enumerate(leaves)]
-            return float(f(eqx.combine(jax.tree.unflatten(structure, moved), static)))
+            return float(both(eqx.combine(jax.tree.unflatten(structure, moved), static))[0])
 
         measured = (at(size) - at(-size)) / (2 * size)
         assert np.isclose(float((slope * direction).sum()), measured, rtol=2e-3, atol=1e-4), (n, slope.shape)
@@ -106,59 +117,48 @@ def assert_is_gradient(f, x, gradient, seed: int) -> None:
 def test_gradients_of_rate_are_finite_differences(case: Case):
     with jax.enable_x64(True):
         at = (transform_of(case, 0.7), vectors(case))
-
-        @eqx.filter_jit
-        def bits(x):
-            return rate(*x, case.octaves, KEYS)
-
-        assert_is_gradient(bits, at, eqx.filter_jit(eqx.filter_grad(bits))(at), 0)
+        assert_has_gradient(lambda x: rate(*x, case.octaves, KEYS), at, 0)
 
 
 def test_gradients_of_reconstruction_are_finite_differences(case: Case):
     with jax.enable_x64(True):
         at = (transform_of(case, 0.7), vectors(case))
 
-        @eqx.filter_jit
-        def squares(x):
+        def size(x):
             p = reconstruct(x[0], case.figure, x[1], case.octaves, KEYS)
             return (p.positions**2).mean() + (p.ends**2).mean() + p.rotations[..., 0].sum() * 1e-2
 
-        assert_is_gradient(squares, at, eqx.filter_jit(eqx.filter_grad(squares))(at), 1)
+        assert_has_gradient(size, at, 1)
 
 
 def test_vectors_of_channels_are_those_of_the_codec_and_have_gradients(case: Case):
     with jax.enable_x64(True):
         values = jnp.asarray(case.motion.values)
-        found = vectors_of(case.figure, values, 1.0)
+        found = jax.jit(lambda x: vectors_of(case.figure, x, 1.0))(values)
         for a, b in zip(found, case.vectors, strict=True):
             np.testing.assert_allclose(a, b, atol=1e-6)
-
-        @jax.jit
-        def size(x):
-            return sum((v**2).sum() for v in vectors_of(case.figure, x, 1.0))
-
-        assert_is_gradient(size, values, jax.jit(jax.grad(size))(values), 2)
+        assert_has_gradient(lambda x: squares(vectors_of(case.figure, x, 1.0)), values, 2)
 
 
 @pytest.mark.parametrize("index", [STEP_INDEX - 40, STEP_INDEX + 8])
 def test_rate_of_rounded_levels_is_what_the_coder_expects(case: Case, index: int):
     transform = transform_of(case, step_cm(index))
-    coded = quantised(transform, vectors(case), case.octaves)
+    coded = levels_of(transform, vectors(case), case.octaves)
     levels = [np.rint(x).astype(np.int64) for x in coded.levels]
     wanted = level_bits(levels, case.basis.spectrum, index, case.densities)
     assert any(x.any() for x in levels)
-    assert float(rate(transform, vectors(case), case.octaves)) == pytest.approx(wanted, rel=0.03)
+    assert float(bits_of(transform, vectors(case), case.octaves)) == pytest.approx(wanted, rel=0.03)
 
 
 def test_reconstruction_is_what_the_codec_decodes(case: Case):
-    coded = quantised(transform_of(case), vectors(case), case.octaves)
+    coded = levels_of(transform_of(case), vectors(case), case.octaves)
     none = Jumps(np.zeros(0, np.int64), np.zeros((0, case.basis.components), np.int64))
     written = Coded(int(coded.direction), none, [np.rint(x).astype(np.int64) for x in coded.levels])
     data = write_payload(written, STEP_INDEX, case.basis, case.densities)
     index, read = read_payload(data, FRAMES, case.octaves, case.basis, case.densities)
     decoded = case.figure.values(*case.basis.vectors(read.coefficients(step_cm(index)), read.direction), 1.0)
     wanted = pose(case.motion.with_values(decoded))
-    found = reconstruct(transform_of(case), case.figure, vectors(case), case.octaves)
+    found = eqx.filter_jit(reconstruct)(transform_of(case), case.figure, vectors(case), case.octaves)
     for a, b in zip(found, wanted, strict=True):
         np.testing.assert_allclose(a, b, atol=2e-3)
 
@@ -168,9 +168,9 @@ def test_rounding_passes_gradients_and_keys_can_be_mapped_over(case: Case):
     gradient = eqx.filter_jit(eqx.filter_grad(lambda x: rate(*x, case.octaves)))(at)
     sizes = [float(jnp.abs(x).max()) for x in jax.tree.leaves(eqx.filter(gradient, eqx.is_array))]
     assert np.isfinite(sizes).all() and gradient[0].log_step < 0 and jnp.abs(gradient[1].body).max() > 0
-    bits = eqx.filter_jit(lambda keys: jax.vmap(lambda key: rate(*at, case.octaves, key))(keys))(jax.random.split(KEYS, 2))
+    bits = eqx.filter_jit(lambda keys: jax.vmap(lambda key: rate(at[0], at[1], case.octaves, key))(keys))(jax.random.split(KEYS, 2))
     assert bits[0] != bits[1]
-    np.testing.assert_allclose(bits[1], rate(*at, case.octaves, jax.random.split(KEYS, 2)[1]), rtol=1e-4)
+    np.testing.assert_allclose(bits[1], bits_of(*at, case.octaves, jax.random.split(KEYS, 2)[1]), rtol=1e-4)
 
 
 def test_contexts_of_floats_are_those_of_integers():
@@ -200,7 +200,8 @@ def test_thawed_networks_freeze_to_the_same(case: Case):
 def refinement(case: Case) -> tuple[Refinement, list[Vectors]]:
     clips = []
     for motion in (dance(0, 200), mirrored(dance(0, 200))):
-        clips.append(Vectors(*PoseVectors(in_cm(motion.skeleton, 1.0), case.figure.mean).analyse(motion, 1.0)))
+        path, body = PoseVectors(in_cm(motion.skeleton, 1.0), case.figure.mean).analyse(motion, 1.0)
+        clips.append(Vectors(jnp.asarray(path), jnp.asarray(body)))
     return Refinement(case.figure, "joints", case.octaves, case.basis, case.densities, 12, 1e-2), clips
 
 

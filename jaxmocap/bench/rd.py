@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from ..codecs import CODECS, Target, make
+from ..codecs import Target, make
 from ..codecs.artifact import Artifact
 from ..errors import JaxmocapError
 from ..kinematics import positions_cm
@@ -30,14 +30,8 @@ _MEANS, _LARGEST = ("mean_cm", "shell_mean_cm"), ("max_cm", "shell_max_cm")
 
 
 def methods() -> tuple[dict[str, Method], dict[str, str]]:
-    """All columns of the table, and the package or codec that is missing for those that are not among them."""
-    made: dict[str, Method] = {}
-    missing: dict[str, str] = {}
-    for name, config in COLUMNS.items():
-        if config["codec"] in CODECS:
-            made[name] = by_codec(config)
-        else:
-            missing[name] = str(config["codec"])
+    """All columns of the table, and the package that is missing for those that are not among them."""
+    made, missing = {name: by_codec(config) for name, config in COLUMNS.items()}, {}
     for name, peer in PEERS.items():
         try:
             coder = peer()

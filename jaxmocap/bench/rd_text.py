@@ -24,7 +24,7 @@ def _curves(found: dict) -> list[str]:
         "to be linear in that of the error.",
         _line("mean error, cm", (f"{cm:g}" for cm in targets)),
         *[_line(name, (_ratio(ratio_at(rows, cm)) for cm in targets)) for name, rows in methods.items()],
-        *[f"  {name}: not measured, {what} is missing" for name, what in found["missing"].items()],
+        *[f"  {name}: not measured, {package} is not installed" for name, package in found["missing"].items()],
     ]
     at = {name: next(row for row in rows if row["target_cm"] == found["clips_cm"]) for name, rows in methods.items()}
     clips = {name: row["clips"] for name, row in at.items() if "missing" not in row}

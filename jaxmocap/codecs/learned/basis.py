@@ -23,17 +23,19 @@ DIRECTIONS = 64  # of the clip's own axes on the floor
 @dataclass(frozen=True, eq=False)
 class Basis:
     """`synthesis` gives the body's vectors, less their `mean`, of coefficients in cm; `turn_cm` is how far a radian of
-    heading moves the figure. The first three components are the path, in axes that the clip chooses."""
+    heading moves the figure. The first three components are the path, in axes that the clip chooses. `fitted` finds the
+    coefficients where the synthesis does not reach all that moves; an encoder alone has need of it."""
 
     mean: Float[np.ndarray, " size"]
     synthesis: Float[np.ndarray, "components size"]
     turn_cm: float
     spectrum: Spectrum
+    fitted: Float[np.ndarray, "size components"] | None = None
 
     @functools.cached_property
     def analysis(self) -> Float[np.ndarray, "size components"]:
-        """The inverse where all that moves has a component; else the nearest in vectors."""
-        return np.linalg.pinv(self.synthesis.astype(np.float64), rcond=1e-9)
+        """The inverse of the synthesis, or what was fitted in its place."""
+        return self.fitted if self.fitted is not None else np.linalg.pinv(self.synthesis.astype(np.float64), rcond=1e-9)
 
     @property
     def components(self) -> int:

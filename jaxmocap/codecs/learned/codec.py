@@ -7,8 +7,6 @@ levels, chosen for the least bits at the error asked for, and coded in the conte
 from __future__ import annotations
 
 import functools
-import math
-from dataclasses import replace
 from typing import Literal
 
 import equinox as eqx
@@ -22,23 +20,28 @@ from ...motion import Motion
 from ...skeleton import Skeleton
 from ..artifact import Artifact, find_artifact, parse_artifact
 from ..base import AbstractCodec, Target, frame_range
-from ..bitstream import ByteReader, varint
 from ..container import DIGEST_BYTES, Header, Stream, read_stream, write_stream
 from ..quantise import step_cm
-from ..rig import bones_of, with_bones
 from . import bands
-from .bones import FINENESSES, read_bones, write_bones
 from .constants import with_constants, write_constants
 from .distortion import METRICS, Metric, points_of
-from .encoder import Source, encode_to, rough_bytes, typical_mean
+from .encoder import encode_to, typical_mean
 from .figure import in_cm
 from .model import LearnedModel
 from .payload import read_payload, write_payload
 from .pose_vectors import PoseVectors
+from .setting import (
+    CHUNK_FRAMES,
+    HAS_CONSTANTS,
+    KNOWN_FLAGS,
+    OWN_BASIS,
+    join_sections,
+    read_setting,
+    write_known,
+    write_own_setting,
+)
 
 NUMBER = 2
-CHUNK_FRAMES = 8192
-_HAS_CONSTANTS = 0x40
 _MOST_AT_ONCE = 1 << 23  # joints times frames
 
 
@@ -85,31 +88,22 @@ class Learned(AbstractCodec):
 
     def _encode(self, motion: Motion, model: LearnedModel, target: Target) -> bytes:
         rig = model.rig
-        scale = motion.unit_cm or rig.unit_cm
+        known = rig.skeleton.same_rig(motion.skeleton)
+        scale = motion.unit_cm or (rig.unit_cm if known else 1.0)
         target = Target(target.kind, target.cm * scale / motion.scale)
-        original = PoseVectors(in_cm(motion.skeleton, scale), rig.expected)
-        basis = model.bases[self.metric]
-        parts = [
-            original.analyse(motion.frames(start, start + CHUNK_FRAMES), scale)
-            for start in range(0, motion.frame_count, CHUNK_FRAMES)
-        ]
-        octaves = bands.octave_count(motion.frame_time)
-        sources = [Source(original, original, *part, octaves, basis, self.metric, model.densities) for part in parts]
-        bones = _bone_fineness(sources, model, typical_mean(target))
-        section, decoding = _bones(original, model, bones)
+        write = write_known if known else write_own_setting
+        setting, sources = write(motion, scale, model, self.metric, typical_mean(target))
+        constants = write_constants(motion, model.constants)
         chunks = []
         for source in sources:
-            index, coded = encode_to(replace(source, decoding=decoding), target)
-            chunks.append(write_payload(coded, index, basis, model.densities))
-        constants = write_constants(motion, model.constants)
-        if constants:
-            section = varint(len(section)) + section + constants
+            index, coded = encode_to(source, target)
+            chunks.append(write_payload(coded, index, setting.basis, model.densities))
         header = Header(
             codec=NUMBER,
-            params=bytes([METRICS.index(self.metric) << 7 | _HAS_CONSTANTS * bool(constants) | bones]),
+            params=bytes([METRICS.index(self.metric) << 7 | setting.flags | HAS_CONSTANTS * bool(constants)]),
             frames=motion.frame_count,
             chunk_frames=min(CHUNK_FRAMES, motion.frame_count),
-            skeleton=section,
+            skeleton=join_sections([*setting.sections, *([constants] if constants else [])]),
             digest=bytes.fromhex(self.artifact.digest)[:DIGEST_BYTES],
             model=self.artifact.data if self.embed else None,
             frame_time=None if motion.frame_time == rig.frame_time else motion.frame_time,
@@ -121,18 +115,17 @@ class Learned(AbstractCodec):
 def decode(stream: Stream, at_hand: Artifact | None, frames: slice | None = None) -> Motion:
     """The motion of a stream, or some of its frames; `at_hand` is a model that may be the one it needs."""
     header = stream.header
-    metric, bones = _params(header)
+    flags, metric = _params(header)
     model = _model(_artifact(header, at_hand))
     unit_cm = model.rig.unit_cm if header.unit_cm is None else header.unit_cm or None
-    scale = unit_cm or model.rig.unit_cm
-    section, constants = _sections(header)
-    in_cm_ = with_bones(model.rig.skeleton, read_bones(section, model.bones, bones, model.densities.tail))
-    skeleton = in_cm(in_cm_, 1 / scale)
+    setting = read_setting(header.skeleton, flags, model, metric)
+    scale = unit_cm or (1.0 if flags & OWN_BASIS else model.rig.unit_cm)
+    skeleton = in_cm(setting.figure.skeleton, 1 / scale)
     frame_time = model.rig.frame_time if header.frame_time is None else header.frame_time
     start, stop = frame_range(frames, header.frames)
     if (stop - start + header.chunk_frames) * skeleton.joint_count > _MOST_AT_ONCE:
         raise JaxmocapError(f"{stop - start} frames are too many to decode at once; take them in parts (--frames A:B)")
-    figure, basis = PoseVectors(in_cm_, model.rig.expected), model.bases[metric]
+    figure, basis = setting.figure, setting.basis
     first, last = start // header.chunk_frames, (stop - 1) // header.chunk_frames
     parts = []
     for n in range(first, last + 1):
@@ -140,31 +133,11 @@ def decode(stream: Stream, at_hand: Artifact | None, frames: slice | None = None
         index, coded = read_payload(stream.chunk(n), held, bands.octave_count(frame_time), basis, model.densities)
         y = coded.coefficients(step_cm(index)).astype(np.float32)
         parts.append(figure.values(*basis.vectors(y, coded.direction), scale))
-    values = with_constants(np.concatenate(parts), constants, model.constants)
+    values = with_constants(np.concatenate(parts), setting.constants, model.constants)
     if not np.isfinite(values).all():
         raise CorruptStream("the stream's bones or joints are beyond all measure")
     skipped = first * header.chunk_frames
     return Motion(skeleton, values[start - skipped : stop - skipped], frame_time, unit_cm)
-
-
-def _bone_fineness(sources: list[Source], model: LearnedModel, mean_cm: float) -> int:
-    """The fineness of bones that costs least: their bytes, and those that their error takes from what the levels may err."""
-    usual = int(np.clip(round(math.log2(mean_cm / 3)) + 13, 2, FINENESSES - 2))
-    levels = sum(rough_bytes(source, mean_cm) for source in sources)
-    costs = {}
-    for fineness in range(usual - 2, usual + 2):
-        section, decoding = _bones(sources[0].original, model, fineness)
-        distortion = replace(sources[0], decoding=decoding).distortion
-        share = float(distortion.errors(sources[0].coefficients).mean()) / mean_cm
-        costs[fineness] = len(section) + levels * share**2 / 2
-    return min(costs, key=lambda fineness: costs[fineness])
-
-
-def _bones(original: PoseVectors, model: LearnedModel, fineness: int) -> tuple[bytes, PoseVectors]:
-    """The bones' bytes, and the figure that decodes from them."""
-    section = write_bones(bones_of(original.skeleton), model.bones, fineness, model.densities.tail)
-    bones = read_bones(section, model.bones, fineness, model.densities.tail)
-    return section, PoseVectors(with_bones(original.skeleton, bones), original.mean)
 
 
 def _codable(motion: Motion) -> Motion:
@@ -194,22 +167,13 @@ def _upright(skeleton: Skeleton) -> np.ndarray:
     return np.tile(np.eye(3), (skeleton.joint_count, 1, 1))
 
 
-def _params(header: Header) -> tuple[Metric, int]:
-    """Metric and fineness of bones of a stream."""
-    if header.codec != NUMBER or len(header.params) != 1 or header.params[0] & 0x30:
+def _params(header: Header) -> tuple[int, Metric]:
+    """Flags of the setting, and the metric of a stream."""
+    if header.codec != NUMBER or len(header.params) != 1 or header.params[0] & ~(1 << 7 | KNOWN_FLAGS):
         raise CorruptStream(f"this is no learned stream: codec {header.codec}, settings {header.params.hex()}")
     if header.chunk_frames != min(CHUNK_FRAMES, header.frames):
         raise CorruptStream(f"the stream has chunks of {header.chunk_frames} frames, wanted {CHUNK_FRAMES}")
-    return METRICS[header.params[0] >> 7], header.params[0] & 15
-
-
-def _sections(header: Header) -> tuple[bytes, bytes]:
-    """Bones and constants of a stream's skeleton."""
-    if not header.params[0] & _HAS_CONSTANTS:
-        return header.skeleton, b""
-    reader = ByteReader(header.skeleton)
-    bones = reader.take(reader.varint())
-    return bones, reader.take(reader.left)
+    return header.params[0] & KNOWN_FLAGS, METRICS[header.params[0] >> 7]
 
 
 def _artifact(header: Header, at_hand: Artifact | None) -> Artifact:

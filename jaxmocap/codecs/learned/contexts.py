@@ -151,7 +151,8 @@ def slow_contexts(prior: Int[A, "rows components"], step_index: int | Array) -> 
         prior, component, OCTAVE * (component < PATH), OCTAVE * (component < PATH - 1), magnitude(row) // 2,
         np.full_like(row, magnitude(np.array(rows)) // 2), xp.broadcast_to(_quarter(step_index), row.shape),
     ], -1)  # fmt: skip
-    return BandContexts(True, fixed.reshape(rows * components, fixed.shape[-1]), expected(prior), Neighbours.of(rows, components))
+    fixed = fixed.reshape(rows * components, fixed.shape[-1])
+    return BandContexts(True, fixed, expected(prior), Neighbours.of(rows, components))
 
 
 def fast_contexts(

@@ -53,8 +53,10 @@ class Transform(eqx.Module):
     @staticmethod
     def of(basis: Basis, densities: Densities, step: float) -> Transform:
         """Of a model's basis and densities; `step` is in cm."""
-        numbers = (basis.mean, basis.synthesis, basis.turn_cm, math.log2(step))
-        return Transform(*(jnp.asarray(x, float) for x in numbers), densities.slow.thaw(), densities.fast.thaw(), basis.spectrum)
+        mean, synthesis = jnp.asarray(basis.mean, float), jnp.asarray(basis.synthesis, float)
+        turn_cm, log_step = jnp.asarray(basis.turn_cm, float), jnp.asarray(math.log2(step), float)
+        slow, fast = densities.slow.thaw(), densities.fast.thaw()
+        return Transform(mean, synthesis, turn_cm, log_step, slow, fast, basis.spectrum)
 
     @property
     def step(self) -> Float[Array, ""]:

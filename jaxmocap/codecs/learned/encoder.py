@@ -25,6 +25,8 @@ _GAIN = 0.885  # what optimising leaves of the mean error of plain rounding
 _POWER = 0.73  # the mean error grows so with the step
 
 _WEIGHTS = (0.6, 1.1)
+_MOST_BY_MEAN = 4.0
+_BOUND_ROUNDS, _BOUND_AIM, _BOUND_POWER = 30, 0.8, 0.6
 _AIM, _CLOSE, _HOPELESS = 0.997, 0.99, 1.05
 
 
@@ -110,6 +112,18 @@ class Attempt:
             self.optimiser.levels = best[1]
         return best is not None or mean_cm is None
 
+    def bound(self, most_cm: float) -> float:
+        """Rounds of moves until no error is above `most_cm`, or they are used up; gives the largest error."""
+        weight = np.ones(self.source.distortion.target.shape[1:], np.float32)
+        largest = math.inf
+        for n in range(_BOUND_ROUNDS):
+            error = self.optimiser.round(WEIGHT, of_points=weight)
+            largest = float(error.max())
+            if n and largest <= most_cm:
+                break
+            weight = np.clip(weight * (error / np.float32(_BOUND_AIM * most_cm)) ** _BOUND_POWER, 0.3, 100.0)
+        return float(self.optimiser.errors().max())
+
 
 def typical_mean(target: Target) -> float:
     """About the mean error that a stream for the target has, in cm."""
@@ -172,11 +186,22 @@ def encode_to(source: Source, target: Target) -> tuple[int, Coded]:
 
 
 def encode_to_max(source: Source, cm: float) -> tuple[int, Coded]:
-    """No point of any frame is off by more than `cm`."""
-    mean = cm / 4
-    while True:
-        index, coded = encode_to_mean(source, mean)
-        most = float(source.errors(coded, index).max())
+    """No point of any frame is off by more than `cm`: errors weigh more the longer they are too large.
+
+    The weights are the multipliers of a bound on every point of every frame, found while the levels are.
+    """
+    index, best, too_coarse = _index_of((cm / _MOST_BY_MEAN / 0.59) ** (1 / _POWER)), None, STEPS
+    while 0 <= index < too_coarse:
+        attempt = Attempt(source, index)
+        most = attempt.bound(cm)
         if most <= cm:
-            return index, coded
-        mean *= min(max(cm / most, 0.5), 0.95)
+            best = (index, attempt.coded())
+            index += 4
+        elif best is not None:
+            break
+        else:
+            too_coarse = index
+            index -= max(round(_steps_apart(most / cm)), 2)
+    if best is None:
+        raise JaxmocapError(f"a maximum error of {cm:g} cm is out of this codec's reach on this motion")
+    return best

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
@@ -12,7 +14,7 @@ from ..quantise import PER_OCTAVE, STEPS, step_cm
 from . import bands
 from .basis import Basis, direction_of
 from .contexts import OCTAVE, PATH
-from .distortion import Metric
+from .distortion import Distortion, Metric
 from .klt import jacobian_moment, weighted_analysis, weighted_klt
 from .model import LearnedModel
 from .own import COUNT_BITS, LEVEL_UNIT, MOST_LEVEL, OwnBasis, lever_arms, plain, size_of, typical_spectrum
@@ -20,9 +22,10 @@ from .pose_vectors import PoseVectors
 from .spectrum import Spectrum, slow_bins
 
 _MOST_FRAMES = 8192
-_FINENESS = 0.1  # of rows and means at their levels, in steps of the quantiser
-_DEAD_ZONE = 0.4
-_LEAST_SPREAD = 0.25  # in steps: what moves less is not worth its row
+_FINENESS = 0.09  # of rows and means at their levels, in steps of the quantiser
+_DEAD_ZONE = 0.45
+_LEAST_SPREAD = 0.2  # in steps: what moves less is not worth its row
+_MOST_ERROR = 0.7  # of the mean error asked for
 _LARGEST = 1 << 20
 _TYPICAL_ROWS = 256  # of the lowest band
 
@@ -34,16 +37,27 @@ def fit_own(
 
     `skeleton` is the one that decodes, in cm. The Basis is that of the OwnBasis, but finds the coefficients that are best seen.
     """
-    step = (mean_cm / 0.59) ** (1 / 0.73)
-    energy = _energy(model, metric, motion.frame_time)
-    fineness = int(np.clip(np.rint((np.log2(_FINENESS * step / energy[PATH]) + 7) * PER_OCTAVE), 0, STEPS - 1))
     some = motion.values[:: max(-(-motion.frame_count // _MOST_FRAMES), 1)]
     some = Motion(motion.skeleton, some, motion.frame_time, motion.unit_cm)
-    means = _means(some, plain(skeleton), scale, step_cm(fineness))
+    step = (mean_cm / 0.59) ** (1 / 0.73)
+    while True:
+        own, basis, error = _fit(some, skeleton, scale, metric, model, step)
+        if error <= _MOST_ERROR * mean_cm or not own.fineness:
+            return own, basis
+        step *= 0.7
+
+
+def _fit(
+    motion: Motion, skeleton: Skeleton, scale: float, metric: Metric, model: LearnedModel, step: float
+) -> tuple[OwnBasis, Basis, float]:
+    """As precise as suits a quantiser's step in cm, and the mean error that it leaves even without that quantiser."""
+    energy = _energy(model, metric, motion.frame_time)
+    fineness = int(np.clip(np.rint((np.log2(_FINENESS * step / energy[PATH]) + 7) * PER_OCTAVE), 0, STEPS - 1))
+    means = _means(motion, plain(skeleton), scale, step_cm(fineness))
     size = len(means)
     own = OwnBasis(fineness, 0, np.zeros(PATH, np.int64), np.zeros((0, size), np.int64), means)
     figure = PoseVectors(skeleton, own.mean_pose(skeleton))
-    path, body = figure.analyse(some, scale)
+    path, body = figure.analyse(motion, scale)
     moment, radius = jacobian_moment(figure, metric, body)
     rows = weighted_klt(moment, np.cov(body, rowvar=False, bias=True).reshape(size, size))
     spread = np.std(body @ weighted_analysis(rows, moment), axis=0)
@@ -51,13 +65,15 @@ def fit_own(
     turn = int(_levels(np.array([radius]) ** 0.5)[0])
     spread = np.concatenate([_path_spread(path, float(size_of(turn))), spread[kept]])
     levels = _levels(spread / energy[np.minimum(np.arange(len(spread)), PATH)])
-    wanted = rows[kept] * size_of(levels[PATH:])[:, None] * own.arms(skeleton) / step_cm(fineness)
+    wanted = rows[kept] * size_of(levels[PATH:])[:, None] * own.arms(skeleton)[None] / step_cm(fineness)
     counts = _integers(np.sign(wanted) * np.floor(np.abs(wanted) + _DEAD_ZONE))
     used = counts.any(1)
     own = OwnBasis(fineness, turn, np.concatenate([levels[:PATH], levels[PATH:][used]]), counts[used], means)
     basis = own.basis(skeleton, model, metric)
-    vars(basis)["analysis"] = weighted_analysis(basis.synthesis, moment)
-    return own, basis
+    basis = replace(basis, fitted=weighted_analysis(basis.synthesis, moment))
+    direction = direction_of(path)
+    distortion = Distortion(figure, basis, metric, direction, figure, path, body)
+    return own, basis, float(distortion.errors(basis.coefficients(path, body, direction)).mean())
 
 
 def _means(motion: Motion, figure: PoseVectors, scale: float, step: float) -> Int[np.ndarray, " size"]:

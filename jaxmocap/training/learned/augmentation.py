@@ -76,7 +76,9 @@ def warp_times(frames: int, key: PRNGKeyArray) -> Float[Array, " frames"]:
     return jnp.concatenate([jnp.zeros(1), jnp.cumsum(speed[knot] * (1 - eased) + speed[knot + 1] * eased)])
 
 
-def resampled(x: Float[np.ndarray, "frames channels"], times: Float[np.ndarray, " times"]) -> Float[np.ndarray, "times channels"]:
+def resampled(
+    x: Float[np.ndarray, "frames channels"], times: Float[np.ndarray, " times"]
+) -> Float[np.ndarray, "times channels"]:
     """Values between frames by cubics through them (Catmull and Rom 1974); the ends are held."""
     whole = np.floor(times).astype(int)
     t = (times - whole)[:, None]

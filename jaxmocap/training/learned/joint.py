@@ -1,7 +1,8 @@
 """Refining a basis and densities together, end to end: bits of rounded levels and errors of decoded points in one loss.
 
 The weight of errors is drawn anew for every batch, and the step with it, so that one model serves all rates. The basis
-moves as a matrix times the basis that it began with: coefficients in cm are all alike to the optimiser, vectors are not.
+moves as a matrix times the one that it began with, in which two components mix the less, the less they are alike in
+size: a thousandth of the largest component would drown the smallest.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from ...codecs.learned import bands
 from ...codecs.learned.basis import Basis, direction_of
 from ...codecs.learned.coefficients import Densities
+from ...codecs.learned.contexts import OCTAVE, PATH
 from ...codecs.learned.density import Density
 from ...codecs.learned.differentiable import Transform, Vectors, level_pose, level_rate, quantised
 from ...codecs.learned.distortion import Metric, points
@@ -37,7 +39,7 @@ _WARM_UP = 0.1  # of all steps
 
 
 class Parameters(eqx.Module):
-    """What is refined: `mixing` times the first basis, the mean vectors, and the densities."""
+    """What is refined: how components mix (zeros: as they were), the mean vectors, and the densities."""
 
     mixing: Float[Array, "components components"]
     mean: Float[Array, " size"]
@@ -77,7 +79,7 @@ class Refinement:
 
     def start(self) -> State:
         whole = Transform.of(self.basis, self.densities, 1.0)
-        parameters = Parameters(jnp.eye(len(self.basis.synthesis)), whole.mean, whole.slow, whole.fast)
+        parameters = Parameters(jnp.zeros([len(self.basis.synthesis)] * 2), whole.mean, whole.slow, whole.fast)
         return State(parameters, self._optimiser.init(eqx.filter(parameters, eqx.is_array)), jnp.zeros((), int))
 
     @eqx.filter_jit
@@ -105,16 +107,14 @@ class Refinement:
 
     def transform(self, parameters: Parameters, log_step: Float[Array, ""]) -> Transform:
         """What the parameters are at a step of 2^log_step cm."""
-        synthesis = parameters.mixing @ jnp.asarray(self.basis.synthesis, parameters.mixing.dtype)
-        turn_cm = jnp.asarray(self.basis.turn_cm, synthesis.dtype)
-        return Transform(
-            parameters.mean, synthesis, turn_cm, log_step, parameters.slow, parameters.fast, self.basis.spectrum
-        )
+        p, first = parameters, jnp.asarray(self.basis.synthesis, parameters.mixing.dtype)
+        synthesis = first + (p.mixing * self._alike) @ first
+        return Transform(p.mean, synthesis, jnp.asarray(self.basis.turn_cm), log_step, p.slow, p.fast, self.basis.spectrum)
 
     def finish(self, state: State, clips: Sequence[Vectors]) -> tuple[Basis, Densities]:
         """The basis, in the precision that models keep, with its spectrum in these clips, and frozen densities."""
         p = state.parameters
-        synthesis = (np.asarray(p.mixing, np.float64) @ self.basis.synthesis).astype(np.float16).astype(np.float64)
+        synthesis = np.asarray(self.transform(p, jnp.zeros(())).synthesis, np.float16).astype(np.float64)
         basis = Basis(np.asarray(p.mean, np.float64), synthesis, self.basis.turn_cm, self.basis.spectrum)
         coefficients = (basis.coefficients(path, body, direction_of(path)) for path, body in map(_on_host, clips))
         spectrum = fit_spectrum([bands.forward(y, self.octaves) for y in coefficients])
@@ -126,6 +126,12 @@ class Refinement:
         warm_up = math.ceil(_WARM_UP * self.steps)
         schedule = optax.warmup_cosine_decay_schedule(0.0, self.peak_rate, warm_up, max(self.steps, warm_up + 1))
         return optax.chain(optax.clip_by_global_norm(1.0), optax.adam(schedule))
+
+    @functools.cached_property
+    def _alike(self) -> Float[np.ndarray, "components components"]:
+        """The smaller of two components' sizes over the larger, as the corpus has them in motion."""
+        size = self.basis.spectrum.slow[1:, PATH:].mean(0) / OCTAVE
+        return np.exp2(-np.abs(size[:, None] - size[None, :])).astype(np.float32)
 
     def _points(self, pose: Pose) -> Float[Array, "frames points 3"]:
         return points(pose, self.figure.skeleton.end_joints, self.metric)
