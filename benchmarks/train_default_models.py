@@ -14,7 +14,7 @@ from jaxmocap.codecs import load_artifact
 from jaxmocap.codecs.artifact import shipped_models
 from jaxmocap.training import TRAINERS
 
-STARTS = {"lsdt-clip": 1, "exact": 0}  # lossy codecs learn without the T-pose, archives have to keep it
+STARTS = {"lsdt-clip": 1, "exact": 0, "learned": 1}  # lossy codecs learn without the T-pose, archives have to keep it
 MODELS = Path(__file__).resolve().parents[1] / "jaxmocap" / "models"
 
 

@@ -2,49 +2,55 @@
 
 from __future__ import annotations
 
-import jax.numpy as jnp
+import jax
+import numpy as np
 from jaxtyping import Array, Float
 
+from .components import A, namespace
 from .kinematics import Pose, pose
 from .motion import Motion
-from .rotations import apply
 
 SHELL_CM = 3.0
 
 
-def joint_error(a: Float[Array, "... joints 3"], b: Float[Array, "... joints 3"]) -> Float[Array, "... joints"]:
+def joint_error(a: Float[A, "... joints 3"], b: Float[A, "... joints 3"]) -> Float[A, "... joints"]:
     """Euclidean distance of every joint in every frame."""
     d2 = ((a - b) ** 2).sum(-1)
     zero = d2 == 0  # the gradient of a square root at 0 is not finite
-    return jnp.where(zero, 0.0, jnp.sqrt(jnp.where(zero, 1.0, d2)))
+    xp = namespace(d2)
+    return xp.where(zero, 0.0, xp.sqrt(xp.where(zero, 1.0, d2)))
 
 
-def mean_error(a: Float[Array, "... frames joints 3"], b: Float[Array, "... frames joints 3"]) -> Float[Array, "..."]:
+def mean_error(a: Float[A, "... frames joints 3"], b: Float[A, "... frames joints 3"]) -> Float[A, "..."]:
     """Mean over joints and frames (Hou et al. 2016, eq. 12)."""
-    return joint_error(a, b).mean((-1, -2))
+    error = joint_error(a, b)
+    return namespace(error).mean(error, (-1, -2))
 
 
-def max_error(a: Float[Array, "... frames joints 3"], b: Float[Array, "... frames joints 3"]) -> Float[Array, "..."]:
+def max_error(a: Float[A, "... frames joints 3"], b: Float[A, "... frames joints 3"]) -> Float[A, "..."]:
     """The largest error of any joint in any frame."""
-    return joint_error(a, b).max((-1, -2))
+    error = joint_error(a, b)
+    return namespace(error).max(error, (-1, -2))
 
 
-def rms_error(a: Float[Array, "... frames joints 3"], b: Float[Array, "... frames joints 3"]) -> Float[Array, "..."]:
+def rms_error(a: Float[A, "... frames joints 3"], b: Float[A, "... frames joints 3"]) -> Float[A, "..."]:
     """Root of the mean squared joint error."""
-    return jnp.sqrt((joint_error(a, b) ** 2).mean((-1, -2)))
+    square = (joint_error(a, b) ** 2).mean((-1, -2))
+    return namespace(square).sqrt(square)
 
 
-def arms_error(a: Float[Array, "... frames joints 3"], b: Float[Array, "... frames joints 3"]) -> Float[Array, "..."]:
+def arms_error(a: Float[A, "... frames joints 3"], b: Float[A, "... frames joints 3"]) -> Float[A, "..."]:
     """Average over frames of the root mean square over joints (Gu et al. 2009, eq. 3)."""
-    return jnp.sqrt((joint_error(a, b) ** 2).mean(-1)).mean(-1)
+    square = (joint_error(a, b) ** 2).mean(-1)
+    return namespace(square).sqrt(square).mean(-1)
 
 
 def shell_points(p: Pose, end_joints: tuple[int, ...], unit_cm: float) -> Float[Array, "... points 3"]:
     """Three points 3 cm from every joint and end site, one along each axis of its frame, in centimetres."""
-    at = jnp.concatenate([p.positions, p.ends], -2) * unit_cm
-    frame = jnp.concatenate([p.rotations, p.rotations[..., list(end_joints), :, :]], -3)
-    directions = SHELL_CM * jnp.eye(3, dtype=at.dtype)
-    points = at[..., None, :] + apply(frame[..., None, :, :], directions)
+    xp = namespace(p.positions)
+    at = xp.concatenate([p.positions, p.ends], -2) * unit_cm
+    frame = xp.concatenate([p.rotations, p.rotations[..., list(end_joints), :, :]], -3)
+    points = at[..., None, :] + SHELL_CM * xp.swapaxes(frame, -1, -2)
     return points.reshape(*points.shape[:-3], -1, 3)
 
 
@@ -57,7 +63,7 @@ def compare(a: Motion, b: Motion) -> dict[str, float | list[float] | None]:
         raise ValueError(f"the motions have {a.skeleton.joint_count} and {b.skeleton.joint_count} joints")
     if a.frame_count != b.frame_count:
         raise ValueError(f"the motions have {a.frame_count} and {b.frame_count} frames")
-    pa, pb = pose(a), pose(b)
+    pa, pb = (jax.tree.map(np.asarray, pose(m)) for m in (a, b))  # on the host, where nothing need be compiled
     x, y = pa.positions * a.scale, pb.positions * b.scale
     report: dict[str, float | list[float] | None] = {
         "mean_cm": float(mean_error(x, y)),

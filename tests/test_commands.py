@@ -10,6 +10,8 @@ import pytest
 
 from jaxmocap.__main__ import run
 from jaxmocap.formats import read_motion, write_motion
+from jaxmocap.motion import Motion
+from jaxmocap.skeleton import Skeleton
 from jaxmocap.synthesis import walk
 
 UNIT = ["--unit-cm", "5.6444"]
@@ -42,7 +44,8 @@ def test_encode_decode_compare(files: Path, capsys: pytest.CaptureFixture[str]):
     assert made["frames"] == 360 and made["raw_bytes"] == 360 * 31 * 12
     assert made["text_bytes"] == source.stat().st_size and made["stream_bytes"] == stream.stat().st_size
     assert made["ratio"] == pytest.approx(made["raw_bytes"] / made["stream_bytes"])
-    assert 0.4 < made["mean_cm"] <= 0.5 and made["seconds"] > 0
+    assert made["codec"] == "learned" and made["metric"] == "shell" and made["seconds"] > 0
+    assert 0.4 < made["shell_mean_cm"] <= 0.5 < made["shell_max_cm"] and 0.3 < made["mean_cm"] < 0.5
     report(capsys, "decode", stream, "-o", files / "back.bvh")
     text = report(capsys, "compare", source, files / "back.bvh", *UNIT)
     direct = report(capsys, "compare", source, stream, *UNIT)
@@ -53,7 +56,7 @@ def test_encode_decode_compare(files: Path, capsys: pytest.CaptureFixture[str]):
 
 def test_frames_are_as_in_python(files: Path, capsys: pytest.CaptureFixture[str]):
     stream = files / "range.jmc"
-    report(capsys, "encode", files / "walk.bvh", "-o", stream, *UNIT, "--config", '{"clip_frames": 60}')
+    report(capsys, "encode", files / "walk.bvh", "-o", stream, *UNIT, "--codec", "lsdt-clip", "--config", '{"clip_frames": 60}')
     report(capsys, "decode", stream, "-o", files / "all.npz")
     whole = np.load(files / "all.npz")["positions"]
     for text, wanted in (("100:130", slice(100, 130)), (":7", slice(None, 7)), ("-5:", slice(-5, None))):
@@ -68,16 +71,25 @@ def test_max_error_holds_for_what_is_written(files: Path, capsys: pytest.Capture
     assert report(capsys, "compare", files / "walk.bvh", files / "max.bvh", *UNIT)["max_cm"] <= 1.0
 
 
+def test_metric_says_what_the_error_is_of(files: Path, capsys: pytest.CaptureFixture[str]):
+    arguments = ("encode", files / "walk.bvh", "-o", files / "metric.jmc", *UNIT, "--mean-error", 1.0)
+    shell, joints = (report(capsys, *arguments, "--metric", metric) for metric in ("shell", "joints"))
+    assert shell["shell_mean_cm"] <= 1.0 and 0.8 < joints["mean_cm"] <= 1.0 < joints["shell_mean_cm"]
+    assert joints["stream_bytes"] < shell["stream_bytes"]
+    assert report(capsys, "info", files / "metric.jmc")["metric"] == "joints"
+    assert report(capsys, *arguments, "--codec", "lsdt-clip")["metric"] == "joints"
+
+
 def test_without_a_unit_errors_are_in_file_units(files: Path, capsys: pytest.CaptureFixture[str]):
     made = report(capsys, "encode", files / "walk.bvh", "-o", files / "u.jmc", "--mean-error", 0.1)
-    assert made["unit"] == "file units" and 0.08 < made["mean_cm"] <= 0.1
+    assert made["unit"] == "file units" and 0.08 < made["shell_mean_cm"] <= 0.1
     assert report(capsys, "info", files / "u.jmc")["unit_cm"] is None
 
 
 def test_default_target_is_half_a_percent_of_the_height(files: Path, capsys: pytest.CaptureFixture[str]):
     made = report(capsys, "encode", files / "walk.bvh", "-o", files / "d.jmc", *UNIT)
     height = read_motion(files / "walk.bvh").skeleton.height() * 5.6444
-    assert 0.8 * 0.005 * height < made["mean_cm"] <= 0.005 * height
+    assert 0.8 * 0.005 * height < made["shell_mean_cm"] <= 0.005 * height
 
 
 def test_start_leaves_frames_out(files: Path, capsys: pytest.CaptureFixture[str]):
@@ -91,9 +103,30 @@ def test_info(files: Path, capsys: pytest.CaptureFixture[str]):
     assert motion["format"] == "bvh" and motion["frames"] == 360 and motion["joints"] == 31 and motion["frame_rate"] == 120
     report(capsys, "encode", files / "walk.bvh", "-o", files / "i.jmc", *UNIT)
     stream = report(capsys, "info", files / "i.jmc")
-    assert stream["codec"] == "lsdt-clip" and stream["frames"] == 360
+    assert stream["codec"] == "learned" and stream["frames"] == 360
     assert sum(stream["sections"].values()) == stream["bytes"] == (files / "i.jmc").stat().st_size
     assert run(["info", str(files / "i.jmc")]) == 0 and "sections" in capsys.readouterr().out
+
+
+def test_info_of_a_learned_stream(files: Path, capsys: pytest.CaptureFixture[str]):
+    """Of a jump, at a step that was asked for; then of a rig that no model knows."""
+    motion = read_motion(files / "walk.bvh").frames(0, 60)
+    values = motion.values.copy()
+    values[0] = 0
+    write_motion(motion.with_values(values), files / "jump.bvh")
+    report(capsys, "encode", files / "jump.bvh", "-o", files / "jump.jmc", *UNIT, "--step", 2.0, "--metric", "joints")
+    found = report(capsys, "info", files / "jump.jmc")
+    assert found["metric"] == "joints" and found["steps_cm"] == [2.0] and found["jumps"] == 1
+    assert found["basis"] == "the model's" and found["nonzero_levels"] > 20
+    assert {"framing", "bones", "motion"} <= found["sections"].keys()
+
+    s = motion.skeleton
+    other = Skeleton([f"j{n}" for n in range(31)], s.parents, s.offsets, s.channels, s.end_joints, s.end_offsets)
+    write_motion(Motion(other, motion.values, motion.frame_time), files / "other.bvh")
+    report(capsys, "encode", files / "other.bvh", "-o", files / "other.jmc", *UNIT, "--step", 4.0)
+    found = report(capsys, "info", files / "other.jmc")
+    assert found["basis"] == "its own" and found["sections"]["basis"] > 50 and found["metric"] == "shell"
+    assert sum(found["sections"].values()) == found["bytes"]
 
 
 def test_view_and_export(files: Path, capsys: pytest.CaptureFixture[str]):
@@ -101,11 +134,12 @@ def test_view_and_export(files: Path, capsys: pytest.CaptureFixture[str]):
     page = report(capsys, "view", files / "walk.bvh", files / "v.jmc", "-o", files / "v.html", *UNIT)
     assert (files / "v.html").stat().st_size == page["bytes"] > 20_000
     report(capsys, "view", files / "walk.bvh", "-o", files / "one.html")
-    for kind in ("safetensors", "npz", "c"):
-        made = report(capsys, "export", "lsdt-clip", "--format", kind, "-o", files / f"model.{kind}")
-        assert (files / f"model.{kind}").stat().st_size == made["bytes"] > 10_000
-    described = report(capsys, "info", files / "model.safetensors")
-    assert described["digest"] == made["digest"] and described["joints"] == 31
+    for codec in ("learned", "lsdt-clip"):
+        for kind in ("safetensors", "npz", "c"):
+            made = report(capsys, "export", codec, "--format", kind, "-o", files / f"model.{kind}")
+            assert (files / f"model.{kind}").stat().st_size == made["bytes"] > 10_000
+        described = report(capsys, "info", files / "model.safetensors")
+        assert described["codec"] == codec and described["digest"] == made["digest"] and described["joints"] == 31
 
 
 @pytest.mark.parametrize(
@@ -119,7 +153,9 @@ def test_view_and_export(files: Path, capsys: pytest.CaptureFixture[str]):
         (["encode", "{}/walk.bvh", "-o", "{}/x.jmc", "--mean-error", "1", "--step", "1"], "give one of"),
         (["encode", "{}/walk.bvh", "-o", "{}/x.jmc", "--codec", "zip"], "lsdt-clip"),
         (["encode", "{}/walk.bvh", "-o", "{}/x.jmc", "--config", "[]"], "JSON object"),
-        (["encode", "{}/walk.bvh", "-o", "{}/x.jmc", "--config", '{"clip_frames": 77}'], "(60, 120, 240)"),
+        (["encode", "{}/walk.bvh", "-o", "{}/x.jmc", "--config", '{"metric": "feet"}'], "'joints', 'shell'"),
+        (["encode", "{}/walk.bvh", "-o", "{}/x.jmc", "--codec", "lsdt-clip", "--metric", "shell"], "--metric is for codecs"),
+        (["encode", "{}/walk.bvh", "-o", "{}/x.jmc", "--codec", "learned", "--model", "lsdt-clip"], "not for learned"),
         (["encode", "{}/walk.bvh", "-o", "{}/x.jmc", "--config", '{"speed": 1}'], "does not take"),
         (["encode", "{}/walk.bvh", "-o", "{}/x.jmc", "--model", "{}/walk.bvh"], "no jaxmocap model"),
         (["encode", "{}/walk.bvh", "-o", "{}/x.jmc", "--unit-cm", "0"], "--unit-cm is"),
@@ -162,13 +198,14 @@ def test_train_writes_model_and_report(tmp_path: Path, capsys: pytest.CaptureFix
     for seed in (1, 2):
         write_motion(walk(seed, 2.0), tmp_path / f"{seed}.bvh")
     model = tmp_path / "model.safetensors"
-    made = report(capsys, "train", tmp_path, "-o", model, *UNIT)
+    made = report(capsys, "train", tmp_path, "-o", model, *UNIT, "--codec", "lsdt-clip")
     assert made["files"] == 2 and made["frames"] == 480 and len(made["objective"]) == 300
     assert json.loads(model.with_suffix(".json").read_text())["digest"] == made["digest"]
     assert model.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
     assert not list(tmp_path.glob("*.partial"))
     stream = tmp_path / "a.jmc"
-    report(capsys, "encode", tmp_path / "1.bvh", "-o", stream, "--model", model, *UNIT, "--mean-error", 1.0)
+    encoded = report(capsys, "encode", tmp_path / "1.bvh", "-o", stream, "--model", model, *UNIT, "--mean-error", 1.0)
+    assert encoded["codec"] == "lsdt-clip", "the codec is the one that the model is for"
     assert "--model" in refusal(capsys, "decode", stream, "-o", tmp_path / "a.bvh")
     assert report(capsys, "decode", stream, "-o", tmp_path / "a.bvh", "--model", model)["frames"] == 240
     embedded = report(capsys, "encode", tmp_path / "1.bvh", "-o", stream, "--model", model, *UNIT, "--embed-model")

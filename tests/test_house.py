@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 
 import jaxmocap
+from jaxmocap.codecs import Target, make
+from jaxmocap.synthesis import walk
 
 PACKAGE = Path(jaxmocap.__file__).parent
 ROOT = Path(__file__).resolve().parents[1]
@@ -58,6 +60,24 @@ def test_importing_jaxmocap_is_light():
     code = f"import sys, jaxmocap; print([m for m in {heavy} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_decoding_compiles_nothing_and_needs_no_optimiser(tmp_path: Path):
+    """Of a stream of the default codec, by the command: what a cold start would wait for."""
+    stream = tmp_path / "walk.jmc"
+    stream.write_bytes(make({"target": Target("step", 4.0)}).encode(walk(1, 0.5)))
+    code = f"""
+import sys, jax, jax.numpy
+from jaxmocap.__main__ import run
+compiled = []
+jax.monitoring.register_event_duration_secs_listener(lambda name, *_, **__: compiled.append(name))
+assert run(["decode", {str(stream)!r}, "-o", {str(tmp_path / "walk.bvh")!r}]) == 0
+print([m for m in ("optax", "matplotlib", "scipy") if m in sys.modules], [name for name in compiled if "compile" in name])
+jax.numpy.ones(3) + 1
+assert any("compile" in name for name in compiled), "the listener hears nothing"
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[] []"
 
 
 def test_links_at_the_root_are_the_real_folders():

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jaxmocap.codecs import Artifact, load_artifact, make
+from jaxmocap.codecs import CODECS, Artifact, decode, load_artifact, make
 from jaxmocap.codecs.artifact import make_artifact, parse_artifact
 from jaxmocap.codecs.lsdt_clip import _model
 from jaxmocap.codecs.lsdt_model import CLIP_FRAMES, LsdtModel
@@ -21,7 +21,8 @@ from jaxmocap.metrics import compare
 from jaxmocap.motion import Motion
 from jaxmocap.skeleton import Skeleton
 from jaxmocap.synthesis import UNIT_CM, walk
-from jaxmocap.training import Corpus, loop, train_lsdt
+from jaxmocap.training import TRAINERS, Corpus, loop, train_learned, train_lsdt
+from jaxmocap.training.learned.train import Trainer
 from jaxmocap.training.loop import Stage, State
 
 SECONDS = 2.1
@@ -49,7 +50,8 @@ def trained(folder, tmp_path_factory) -> tuple[Artifact, dict]:
 _TRAIN = """
 import sys
 from pathlib import Path
-from jaxmocap.training import Corpus, loop, train_lsdt
+from jaxmocap.training import TRAINERS, Corpus, loop, train_learned, train_lsdt
+from jaxmocap.training.learned.train import Trainer
 loop._SAVE_SECONDS = 0.0
 artifact, _ = train_lsdt(Corpus.of([sys.argv[1]], float(sys.argv[2])), Path(sys.argv[3]))
 Path(sys.argv[4]).write_bytes(artifact.data)
@@ -76,11 +78,15 @@ def test_killed_run_resumes_to_the_same_model(folder, trained, tmp_path):
 
 def _stage_of(checkpoint: Path) -> int:
     try:
-        data = checkpoint.read_bytes()
-        header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
-        return json.loads(header["__metadata__"]["jaxmocap"])["stage"]
+        return _place_of(checkpoint)["stage"]
     except FileNotFoundError:
         return -1
+
+
+def _place_of(checkpoint: Path) -> dict:
+    data = checkpoint.read_bytes()
+    header = json.loads(data[8 : 8 + int.from_bytes(data[:8], "little")])
+    return json.loads(header["__metadata__"]["jaxmocap"])
 
 
 def test_model_and_report(folder, trained):
@@ -271,3 +277,77 @@ def test_damaged_checkpoint_is_as_good_as_none(damage, tmp_path):
     loop.run(STAGES[:1], checkpoint, "key")
     checkpoint.write_bytes(checkpoint.read_bytes()[:-5] if damage is None else damage)
     assert loop.run(STAGES, checkpoint, "key")["seen"].tolist() == FOLD
+
+
+# The codec `learned`.
+
+
+@pytest.fixture(scope="session")
+def one_file(tmp_path_factory) -> Corpus:
+    """The smallest corpus there is: nothing to hold out, and bones of one person."""
+    folder = tmp_path_factory.mktemp("one")
+    write_motion(walk(seed=1, seconds=1.0), folder / "walk.bvh")
+    return Corpus.of([folder], UNIT_CM)
+
+
+@pytest.fixture(scope="session")
+def learned(one_file, tmp_path_factory) -> tuple[Artifact, dict, Path]:
+    checkpoint = tmp_path_factory.mktemp("state") / "checkpoint"
+    return *train_learned(one_file, checkpoint), checkpoint
+
+
+def test_every_codec_has_a_trainer():
+    assert set(CODECS) < set(TRAINERS)
+
+
+def test_learned_of_one_file(one_file, learned):
+    artifact, report, _ = learned
+    assert artifact.spec["codec"] == report["codec"] == "learned"
+    assert artifact.spec["corpus"] == one_file.digest()
+    assert (report["files"], report["frames"], report["digest"]) == (1, 120, artifact.digest)
+    curves = np.concatenate(list(report["curves"].values()))
+    assert curves.shape[1] == 2 and np.isfinite(curves).all()
+    for curve in report["curves"].values():
+        assert curve[-1][1] <= curve[0][1]
+    assert json.loads(json.dumps(report)) == report
+
+
+@pytest.mark.parametrize("metric", ["joints", "shell"])
+def test_learned_codes_what_it_saw_and_what_it_did_not(one_file, learned, metric):
+    artifact = learned[0]
+    codec = make({"codec": "learned", "metric": metric, "target": {"kind": "mean", "cm": 1.0}}, artifact)
+    (seen,) = one_file
+    for motion in (seen, walk(seed=5, seconds=1.0)):
+        decoded = decode(codec.encode(motion), artifact)
+        assert measured(motion, decoded, "mean_cm" if metric == "joints" else "shell_mean_cm") <= 1.0
+
+
+def test_interrupted_learned_resumes_to_the_same_model(one_file, learned, tmp_path, monkeypatch):
+    """Among moments, levels, and epochs of either network; each time a new trainer goes on."""
+    artifact, _, finished = learned
+    monkeypatch.setattr(loop, "_SAVE_SECONDS", 0.0)
+    checkpoint, left = tmp_path / "checkpoint", [0]
+
+    def interrupted(stage: Stage) -> Stage:
+        def step(state: State, item: int) -> State:
+            left[0] -= 1
+            if left[0] < 0:
+                raise KeyboardInterrupt
+            return stage.step(state, item)
+
+        return Stage(stage.name, stage.items, step)
+
+    for steps in (3, 4, 3, 4, 8, 5):
+        left[0] = steps
+        with pytest.raises(KeyboardInterrupt):
+            loop.run([interrupted(s) for s in Trainer(one_file).stages()], checkpoint, _place_of(finished)["key"])
+    assert 0 < _place_of(checkpoint)["stage"] < _place_of(finished)["stage"]
+    again, _ = train_learned(one_file, checkpoint)
+    assert again.data == artifact.data
+
+
+def test_learned_wants_one_rig(one_file, tmp_path):
+    other = Motion(Skeleton(["root"], [-1], np.zeros((1, 3)), [["Xposition", "Yposition", "Zposition"]]), np.ones((4, 3)), 0.1)
+    write_motion(other, tmp_path / "a.bvh")
+    with pytest.raises(FormatError, match="2 rigs"):
+        train_learned(Corpus.of([*one_file.files, tmp_path]), tmp_path / "checkpoint")

@@ -22,7 +22,7 @@ _BY_NUMBER = {
     lsdt_clip.NUMBER: ("lsdt-clip", lsdt_clip.decode),
     learned_codec.NUMBER: ("learned", learned_codec.decode),
 }
-DEFAULT = "lsdt-clip"
+DEFAULT = "learned"
 
 
 def make(config: dict, artifact: Artifact | None = None) -> AbstractCodec:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import inspect
 import json as json_module
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -14,7 +15,10 @@ from ..errors import JaxmocapError
 from .base import Command, Input, Output, Report, load_model, read_file, table, unit_name, without_first
 
 if TYPE_CHECKING:
+    from ..codecs.artifact import Artifact
     from ..codecs.base import Target
+
+_ERRORS = ("mean_cm", "max_cm", "shell_mean_cm", "shell_max_cm")
 
 
 @dataclass(kw_only=True)
@@ -25,14 +29,16 @@ class Encode(Command):
     """BVH, AMC (with its ASF beside it), TRC or npz."""
     output: Output
     """The stream to write."""
-    codec: str = "lsdt-clip"
-    """The codec."""
+    codec: str | None = None
+    """The codec: learned or lsdt-clip. Default: the one that the model is for, or learned."""
     model: Path | None = None
     """A trained model: a file, or the id of a shipped one. Default: the one shipped for the codec."""
     mean_error: float | None = None
-    """The mean joint error to keep, in cm (in file units where the unit is unknown). Default: 0.5 % of the figure's height."""
+    """The mean error to keep, in cm (in file units where the unit is unknown). Default: 0.5 % of the figure's height."""
     max_error: float | None = None
-    """The error that no joint of any frame may exceed, in cm."""
+    """The error that nothing in any frame may exceed, in cm."""
+    metric: Literal["joints", "shell"] | None = None
+    """What errors are of: joints, or three points 3 cm from each, which see twist, too. Default: shell, where the codec can."""
     step: float | None = None
     """The quantiser step, in cm, instead of an error."""
     unit_cm: float | None = None
@@ -40,7 +46,7 @@ class Encode(Command):
     start: int = 0
     """Leave out so many frames at the front: 1 for the T-pose of the CMU conversions."""
     config: str = "{}"
-    """Settings of the codec, as JSON: {"clip_frames": 60, "form": "paper"}."""
+    """Settings of the codec, as JSON: {"clip_frames": 60, "form": "paper"} of lsdt-clip."""
     embed_model: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Put the model into the stream."""
 
@@ -49,11 +55,12 @@ class Encode(Command):
         from ..formats.text import write_bytes
         from ..metrics import compare
 
-        settings = self._settings()
+        model = load_model(self.model)
+        settings = self._settings(model)
         motion = without_first(read_file(self.input, self.unit_cm), self.start, self.input.name)
         began = time.perf_counter()
         try:
-            codec = make(settings, load_model(self.model))
+            codec = make(settings, model)
         except ValueError as error:
             raise JaxmocapError(str(error)) from error
         data = codec.encode(motion)
@@ -62,7 +69,8 @@ class Encode(Command):
         write_bytes(self.output, data)
         raw_bytes = motion.frame_count * motion.skeleton.joint_count * 12
         return {
-            "codec": self.codec,
+            "codec": settings["codec"],
+            "metric": codec.config().get("metric", "joints"),
             "frames": motion.frame_count,
             "joints": motion.skeleton.joint_count,
             "raw_bytes": raw_bytes,
@@ -70,35 +78,46 @@ class Encode(Command):
             "stream_bytes": len(data),
             "ratio": raw_bytes / len(data),
             "unit": unit_name(motion),
-            "mean_cm": error["mean_cm"],
-            "max_cm": error["max_cm"],
+            **{key: error[key] for key in _ERRORS},
             "seconds": seconds,
         }
 
     def text(self, report: Report) -> str:
         unit = report["unit"]
+        errors = [(f"{key.removesuffix('_cm').replace('_', ' ')} error, {unit}", report[key]) for key in _ERRORS]
         return table([
             (str(self.output), f"{report['stream_bytes']:,} bytes, {report['ratio']:.1f}:1 of float32 positions"),
+            ("codec", report["codec"]),
             ("frames", report["frames"]),
-            (f"mean error, {unit}", report["mean_cm"]),
-            (f"max error, {unit}", report["max_cm"]),
+            *((name, value) for name, value in errors if value is not None),
             ("seconds", report["seconds"]),
         ])
 
-    def _settings(self) -> dict:
+    def _settings(self, model: Artifact | None) -> dict:
+        from ..codecs import DEFAULT
+
         try:
             settings = json_module.loads(self.config)
         except ValueError as error:
             raise JaxmocapError(f"--config is no JSON: {error}") from error
         if not isinstance(settings, dict):
             raise JaxmocapError('--config is not a JSON object such as {"clip_frames": 60}')
-        settings["codec"] = self.codec
+        settings["codec"] = self.codec or (DEFAULT if model is None else model.spec["codec"])
+        if self.metric is not None:
+            settings["metric"] = self._metric(settings["codec"])
         target = self._target()
         if target is not None:
             settings["target"] = target
         if self.embed_model:
             settings["embed"] = True
         return settings
+
+    def _metric(self, codec: str) -> str | None:
+        from ..codecs import CODECS
+
+        if codec in CODECS and "metric" not in inspect.signature(CODECS[codec]).parameters:
+            raise JaxmocapError(f"--metric is for codecs that take one, such as learned; that of {codec} is joints")
+        return self.metric
 
     def _target(self) -> Target | None:
         from ..codecs.base import Target

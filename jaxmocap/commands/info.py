@@ -43,6 +43,7 @@ class Info(Command):
     def _stream(self) -> Report:
         from ..codecs import codec_name, decode
         from ..codecs.container import VERSION, read_stream
+        from ..codecs.learned.description import describe
 
         data = self.input.read_bytes()
         stream = read_stream(data)
@@ -55,8 +56,11 @@ class Info(Command):
             "chunk_frames": header.chunk_frames,
             "sections": stream.section_bytes(),
         }
+        model = load_model(self.model)
         try:
-            one = decode(data, load_model(self.model), slice(0, 1))
+            if report["codec"] == "learned":
+                report |= describe(stream, model)
+            one = decode(data, model, slice(0, 1))
         except ModelMismatch as error:
             return {**report, "frames": header.frames, "skeleton": f"unknown: {error}"}
         return {**report, **_described(one), "frames": header.frames, "seconds": header.frames * one.frame_time}

@@ -7,6 +7,7 @@ import json
 import re
 import zipfile
 from collections.abc import Sequence
+from fnmatch import fnmatchcase
 
 import numpy as np
 
@@ -19,12 +20,13 @@ KINDS = ("safetensors", "npz", "c")
 _C_TYPES = {"float64": "double", "float32": "float"}  # integers are called as in Python, with _t
 _LINE = 116
 
-# What the arrays of `lsdt-clip` mean, by tensor name with * for the clip length.
+# What arrays mean, by the pattern of their names; the first that fits counts.
 _MEANING = {
     "basis": "learned basis: coordinate, component, joint",
     "rig.bones": "mean bones in cm: joint offsets, then end sites",
     "rig.axes": "constant frame of each joint's rotation channels",
     "rig.expected": "mean local rotation of each joint",
+    "rig.lengths": "of each bone of nonzero length, its mean length in 2^-16 cm",
     "rig.spread": "of each bone of nonzero length, in 2^-16 cm",
     "rig.partner": "an earlier bone of nonzero length that strays alike, or -1",
     "runs.*.scale": "expected magnitude, 16 log2 cm: coordinate, band, component",
@@ -33,6 +35,21 @@ _MEANING = {
     "runs.*.value": "frequencies less one of magnitudes: context, symbol",
     "paper.*.position": "Huffman code lengths of positions: coordinate, component",
     "paper.*.value": "Huffman code lengths of values: octave of the step, symbol",
+    "bones.mean": "mean bones in 2^-16 cm: joint offsets, then end sites",
+    "bones.spread": "how far each component of a bone strays: 16 log2 cm",
+    "bones.partner": "an earlier bone that strays alike, or -1",
+    "bones.mirror": "signs with which it does",
+    "bones.people": "bones of people of the corpus in 2^-16 cm",
+    "constants": "of each channel: its value where all files hold it constant, else NaN",
+    "logistic": "65,536 times the logistic function of every 32nd of a logit from -12 to 12",
+    "tail": "frequencies less one of unsigned integers: reach, symbol",
+    "slow.*": "network of the lowest band",
+    "fast.*": "network of the octaves",
+    "*.mean": "of pose vectors: height in cm, rotation vectors in radians, shifts in cm",
+    "*.synthesis": "pose vectors of a coefficient of 1 cm: component, vector",
+    "*.turn_cm": "how far a radian of heading moves the figure, in cm",
+    "*.spectrum.slow": "expected magnitudes, 16 log2 cm: bin, component",
+    "*.spectrum.fast": "expected magnitudes, 16 log2 cm: octave, component",
 }
 
 
@@ -80,7 +97,7 @@ def _c_header(artifact: Artifact) -> str:
         f"/* A model of jaxmocap: codec {_words(spec['codec'])}, SHA-256 of its file\n"
         f"   {artifact.digest}.\n   See docs/format.md for what the arrays mean. */",
         f"#ifndef {guard}\n#define {guard}",
-        "#include <stdint.h>",
+        "#include <math.h>\n#include <stdint.h>",
         f"#define {prefix.upper()}_JOINTS {len(rig['names'])}\n#define {prefix.upper()}_ENDS {len(rig['end_joints'])}",
         _array(f"{prefix}_digest", digest, "SHA-256 of the model; a stream names its first four bytes"),
         _array(f"{prefix}_step_cm", steps, f"quantiser steps in cm: step[i] = 2^(i / {PER_OCTAVE} - 7)"),
@@ -106,7 +123,7 @@ def _words(text: str) -> str:
 
 
 def _meaning(tensor: str) -> str:
-    return _MEANING.get(re.sub(r"\.\d+\.", ".*.", tensor), _words(tensor))
+    return next((meaning for pattern, meaning in _MEANING.items() if fnmatchcase(tensor, pattern)), _words(tensor))
 
 
 def _scalar(name: str, value: float, meaning: str) -> str:
@@ -115,6 +132,8 @@ def _scalar(name: str, value: float, meaning: str) -> str:
 
 def _array(name: str, values: np.ndarray, meaning: str) -> str:
     shape = ", ".join(map(str, values.shape))
+    if values.dtype == np.float16:  # which C lacks; single precision holds them exactly
+        values = values.astype(np.float32)
     if not values.size:
         return f"/* {name} ({shape}) is empty: {meaning} */"
     sizes = "".join(f"[{n}]" for n in values.shape) or "[1]"
@@ -130,6 +149,8 @@ def _braced(values: np.ndarray) -> str:
 
 def _number(value: np.generic) -> str:
     """The shortest decimals that read back to the same number."""
+    if value != value:
+        return "NAN"
     return str(value) + ("f" if value.dtype == np.float32 else "")
 
 

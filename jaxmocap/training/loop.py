@@ -65,7 +65,7 @@ def _save(checkpoint: Path, key: str, state: State, stage: int, item: int) -> No
     from safetensors.numpy import save
 
     at = json.dumps({"key": key, "stage": stage, "item": item})
-    arrays = {name: np.ascontiguousarray(value) for name, value in state.items()}
+    arrays = {name: np.asarray(value, order="C") for name, value in state.items()}
     write_bytes(checkpoint, save(arrays, metadata={"jaxmocap": at}))
 
 

@@ -46,4 +46,15 @@ def _draw_exact(figure: Figure, report: dict) -> None:
     axes.grid(alpha=0.3, axis="y")
 
 
-_DRAWINGS = {"lsdt-clip": _draw_lsdt, "exact": _draw_exact}
+def _draw_learned(figure: Figure, report: dict) -> None:
+    """Bits a level of the lowest band and of the octaves over all epochs, as trained and on what is held out."""
+    for axes, which in zip(figure.subplots(1, 2), ("slow", "fast"), strict=True):
+        curves = [np.array(curve) for name, curve in report["curves"].items() if name.endswith(f".{which}")]
+        for n, name in enumerate(("trained", "held out")):
+            axes.plot(np.concatenate(curves)[:, n], "o-", label=name)
+        axes.set(title={"slow": "lowest band", "fast": "octaves"}[which], xlabel="epoch", ylabel="bits a level")
+        axes.legend()
+        axes.grid(alpha=0.3)
+
+
+_DRAWINGS = {"learned": _draw_learned, "lsdt-clip": _draw_lsdt, "exact": _draw_exact}

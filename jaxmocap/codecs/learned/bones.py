@@ -21,29 +21,36 @@ _FINEST = -13  # the step of fineness 0 is 2^-13 cm
 _FIXED_POINT = 16
 _SIZE_BITS = 8
 _SIZE = 1 << _SIZE_BITS - 1
+_SOMEBODY = 0  # in place of a size: a person of the corpus follows
+_PERSON_BITS = 6
+MOST_PEOPLE = 1 << _PERSON_BITS
+_NAMES = ("mean", "spread", "partner", "mirror", "people")
 
 
 @dataclass(frozen=True, eq=False)
 class BoneModel:
     """`mean` holds x, y, z of every bone in 2^-16 cm; `spread` is 16 log2 of how far each strays, in cm.
 
-    `partner[b]` is an earlier bone that strays alike (-1: none), `mirror[b]` the signs with which it does.
+    `partner[b]` is an earlier bone that strays alike (-1: none), `mirror[b]` the signs with which it does. `people` are
+    those of the corpus, in 2^-16 cm: who is one of them costs two bytes.
     """
 
     mean: Int[np.ndarray, "bones 3"]
     spread: Int[np.ndarray, "bones 3"]
     partner: Int[np.ndarray, " bones"]
     mirror: Int[np.ndarray, "bones 3"]
+    people: Int[np.ndarray, "people bones 3"]
 
     def tensors(self) -> dict[str, np.ndarray]:
         return {
             "bones.mean": self.mean.astype(np.int32), "bones.spread": self.spread.astype(np.int16),
             "bones.partner": self.partner.astype(np.int16), "bones.mirror": self.mirror.astype(np.int8),
+            "bones.people": self.people.astype(np.int32),
         }  # fmt: skip
 
     @staticmethod
     def load(tensors: dict[str, np.ndarray]) -> BoneModel:
-        return BoneModel(*(tensors[f"bones.{name}"].astype(np.int64) for name in ("mean", "spread", "partner", "mirror")))
+        return BoneModel(*(tensors[f"bones.{name}"].astype(np.int64) for name in _NAMES))
 
     def predicted(self, size: int, octave: int) -> Int[np.ndarray, "bones 3"]:
         """The mean at a size (128: as it is), in multiples of 2^octave cm, by integers alone."""
@@ -54,6 +61,12 @@ class BoneModel:
 def write_bones(bones: Float[np.ndarray, "bones 3"], model: BoneModel, fineness: int, tail: np.ndarray) -> bytes:
     """Bones in cm, to multiples of 2^(fineness - 13) cm."""
     octave = fineness + _FINEST
+    person = _known_person(bones, model, octave)
+    if person is not None:
+        encoder = RangeEncoder()
+        encoder.encode_bits(_SOMEBODY, _SIZE_BITS)
+        encoder.encode_bits(person, _PERSON_BITS)
+        return encoder.finish()
     mean_length = np.linalg.norm(model.mean, axis=1) / (1 << _FIXED_POINT)
     used = mean_length > 0
     ratio = np.median(np.linalg.norm(bones[used], axis=1) / mean_length[used]) if used.any() else 1.0
@@ -76,14 +89,23 @@ def read_bones(data: bytes, model: BoneModel, fineness: int, tail: np.ndarray) -
     octave = fineness + _FINEST
     decoder = RangeDecoder(data)
     size = decoder.decode_bits(_SIZE_BITS)
-    if not size:
-        raise CorruptStream("the stream's skeleton has no size")
+    if size == _SOMEBODY:
+        person = decoder.decode_bits(_PERSON_BITS)
+        if person >= len(model.people):
+            raise CorruptStream(f"the stream's skeleton is of person {person}, the model knows {len(model.people)}")
+        return np.ldexp(model.people[person].astype(np.float64), -_FIXED_POINT)
     strayed = np.zeros_like(model.mean)
     for b in range(len(strayed)):
         symbols = decoder.decode_each(_frequencies(model, b, octave, tail))
         sizes = np.array([integers.join(s, decoder.decode_bits(integers.raw_bits(s))) for s in symbols.tolist()], np.int64)
         strayed[b] = decode_signs(decoder, sizes) + _of_partner(model, strayed, b)
     return np.ldexp((model.predicted(size, octave) + strayed).astype(np.float64), octave)
+
+
+def _known_person(bones: np.ndarray, model: BoneModel, octave: int) -> int | None:
+    """Whoever of the corpus has these bones, to what they would be rounded to."""
+    apart = np.abs(np.ldexp(model.people.astype(np.float64), -_FIXED_POINT) - bones[None]).max((1, 2))
+    return int(apart.argmin()) if len(apart) and apart.min() <= np.ldexp(0.5, octave) else None
 
 
 def _of_partner(model: BoneModel, strayed: np.ndarray, b: int) -> np.ndarray | int:

@@ -43,6 +43,7 @@ from .setting import (
 
 NUMBER = 2
 _MOST_AT_ONCE = 1 << 23  # joints times frames
+_LARGEST = 1e9  # degrees or file units
 
 
 class Learned(AbstractCodec):
@@ -70,8 +71,8 @@ class Learned(AbstractCodec):
 
         Raises JaxmocapError where the target is out of reach.
         """
-        if not motion.frame_count or not np.isfinite(motion.values).all():
-            raise JaxmocapError("the motion has no frames, or values that are not finite numbers")
+        if not motion.frame_count or not (np.abs(motion.values) < _LARGEST).all():
+            raise JaxmocapError(f"the motion has no frames, or values that are not finite numbers below {_LARGEST:g}")
         motion = _codable(motion)
         target = self.target or Target.default(motion)
         model = _model(self.artifact)
@@ -127,10 +128,11 @@ def decode(stream: Stream, at_hand: Artifact | None, frames: slice | None = None
         raise JaxmocapError(f"{stop - start} frames are too many to decode at once; take them in parts (--frames A:B)")
     figure, basis = setting.figure, setting.basis
     first, last = start // header.chunk_frames, (stop - 1) // header.chunk_frames
+    payloads = [stream.chunk(n) for n in range(first, last + 1)]  # all are whole, before the first is decoded
     parts = []
-    for n in range(first, last + 1):
+    for n, payload in enumerate(payloads, first):
         held = min(header.chunk_frames, header.frames - n * header.chunk_frames)
-        index, coded = read_payload(stream.chunk(n), held, bands.octave_count(frame_time), basis, model.densities)
+        index, coded = read_payload(payload, held, bands.octave_count(frame_time), basis, model.densities)
         y = coded.coefficients(step_cm(index)).astype(np.float32)
         parts.append(figure.values(*basis.vectors(y, coded.direction), scale))
     values = with_constants(np.concatenate(parts), setting.constants, model.constants)

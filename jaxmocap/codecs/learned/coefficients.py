@@ -54,15 +54,14 @@ def band_contexts(levels: Levels, spectrum: Spectrum, step_index: int, counts: l
     for octave, count in enumerate(counts[1:]):
         prior = spectrum.fast_prior(len(levels[octave + 1]), octave, step_index)[:, :count]
         yield fast_contexts(prior, step_index, octave, parents)
-        parents = magnitude(levels[octave + 1])
-        if not len(parents):
-            return
+        if len(levels[octave + 1]):  # short clips have nothing in their coarsest octaves, but have in finer ones
+            parents = magnitude(levels[octave + 1])
 
 
 def level_bits(levels: Levels, spectrum: Spectrum, step_index: int, densities: Densities) -> float:
     """About what the levels will take, in bits, without coding them."""
     total, counts = 0.0, active_components(levels)
-    for band, count, contexts in zip(levels, counts, band_contexts(levels, spectrum, step_index, counts), strict=False):
+    for band, count, contexts in zip(levels, counts, band_contexts(levels, spectrum, step_index, counts), strict=True):
         outputs = densities.of(contexts).logits(contexts.inputs_of(magnitude(band[:, :count])))
         total += float(bits(outputs, np.abs(band[:, :count]).ravel()).sum())
     return total
@@ -71,7 +70,7 @@ def level_bits(levels: Levels, spectrum: Spectrum, step_index: int, densities: D
 def encode_levels(encoder: Encoder, levels: Levels, spectrum: Spectrum, step_index: int, densities: Densities) -> None:
     counts = active_components(levels)
     _write_counts(encoder, counts, spectrum, step_index)
-    for band, count, contexts in zip(levels, counts, band_contexts(levels, spectrum, step_index, counts), strict=False):
+    for band, count, contexts in zip(levels, counts, band_contexts(levels, spectrum, step_index, counts), strict=True):
         flat = band[:, :count].ravel().astype(np.int64)
         outputs = densities.of(contexts)(contexts.inputs_of(magnitude(band[:, :count])))
         for group in groups(len(band), count, contexts.slow):
@@ -85,7 +84,7 @@ def decode_levels(
     rows = band_rows(frames, octaves)
     counts = _read_counts(decoder, rows, spectrum, step_index)
     levels = [np.zeros((n, spectrum.components), np.int64) for n in rows]
-    for band, count, contexts in zip(levels, counts, band_contexts(levels, spectrum, step_index, counts), strict=False):
+    for band, count, contexts in zip(levels, counts, band_contexts(levels, spectrum, step_index, counts), strict=True):
         n = contexts.neighbours
         own = n.padded(np.zeros((len(band), count), np.int64))
         excess, expected = own.copy(), contexts.expected.ravel()

@@ -23,7 +23,8 @@ def write_constants(motion: Motion, usual: Constants) -> bytes:
     """Nothing where the channels that hold still are the usual ones; else a bit for each that is otherwise, packed."""
     mine = constants_of(motion.values)
     usual = _fitting(usual, len(mine))
-    other = _still(usual) != ((mine == usual) | (mine == 0))
+    held = np.where(_still(usual), mine == usual, mine == 0)
+    other = _still(usual) != held
     return zlib.compress(np.packbits(other).tobytes(), 9, wbits=-15) if other.any() else b""
 
 

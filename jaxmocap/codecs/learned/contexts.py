@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Int
+from jaxtyping import Array, Float, Int
 
 from ...components import A, namespace
 
@@ -51,14 +51,14 @@ def _magnitudes() -> np.ndarray:
     return np.array([((2 * n**32).bit_length() - 1) // 2 for n in range(1, _EXACT + 1)], np.int64)
 
 
-def smooth_magnitude(levels: A) -> A:
+def smooth_magnitude(levels: Float[Array, "..."]) -> Float[Array, "..."]:
     """The same of any real levels, for gradients."""
     return OCTAVE * jnp.log2(1 + jnp.abs(levels))
 
 
-def expected(prior: A) -> A:
+def expected(prior: np.ndarray | Array) -> np.ndarray | Array:
     """About the magnitude of a level whose scale is 2^(prior / 16) steps; of JAX's priors with no jumps."""
-    if namespace(prior) is np:
+    if isinstance(prior, np.ndarray):
         return np.maximum(prior, 0) + (OCTAVE >> np.minimum(np.abs(prior) // OCTAVE, 5))
     return jnp.maximum(prior, 0) + OCTAVE * jnp.minimum(jnp.exp2(0.5 - jnp.abs(prior) / OCTAVE), 1)
 
@@ -134,11 +134,14 @@ class BandContexts:
     def inputs_of(self, magnitudes: A, where: np.ndarray | slice = slice(None)) -> A:
         """The inputs of these places, once all magnitudes are known: (places, inputs)."""
         n = self.neighbours
-        if namespace(magnitudes) is jnp:
-            near = n.around(magnitudes - self.expected, SLOW_OTHERS if self.slow else FAST_OTHERS)
-            parts = [n.around(magnitudes, SLOW_OWN), near] if self.slow else [near]
-            return jnp.concatenate([self.fixed, *(x.reshape(-1, x.shape[-1]) for x in parts)], 1)[where]
         return self.inputs(n.padded(magnitudes), n.padded(magnitudes - self.expected), where)
+
+    def smooth_inputs(self, magnitudes: Float[Array, "rows components"]) -> Float[Array, "places inputs"]:
+        """The same of all places, for gradients."""
+        n = self.neighbours
+        near = n.around(magnitudes - self.expected, SLOW_OTHERS if self.slow else FAST_OTHERS)
+        parts = [n.around(magnitudes, SLOW_OWN), near] if self.slow else [near]
+        return jnp.concatenate([self.fixed, *(x.reshape(-1, x.shape[-1]) for x in parts)], 1)
 
 
 def slow_contexts(prior: Int[A, "rows components"], step_index: int | Array) -> BandContexts:
@@ -174,12 +177,12 @@ def fast_contexts(
     return BandContexts(False, whole, expected(prior), Neighbours.of(rows, components))
 
 
-def _near_parents(parents: A, row: np.ndarray, component: np.ndarray) -> A:
+def _near_parents(parents: np.ndarray | Array, row: np.ndarray, component: np.ndarray) -> np.ndarray | Array:
     """Magnitudes around the parent of every place: (places, neighbours)."""
     rows, components = parents.shape
     n = Neighbours.of(rows, components)
     parent = np.minimum(row // 2, rows - 1)
-    if namespace(parents) is np:
+    if isinstance(parents, np.ndarray):
         base = n.base[(parent * components + component).ravel()][:, None]
         return n.padded(parents)[base + n.steps(PARENTS)]
     chosen = jnp.asarray(parent[:, :1] == np.arange(rows)[None], parents.dtype)  # rows by a matrix, as others by slices
@@ -191,15 +194,18 @@ def _quarter(step_index: int | Array) -> int | Array:
     return step_index / 4 if isinstance(step_index, Array) else step_index // 4
 
 
-def slow_activity(levels: A) -> A:
+def slow_activity(levels: Int[np.ndarray, "rows components"]) -> Int[np.ndarray, "rows components"]:
     """How lively every component of the lowest band is over time: its faster half brought back to time, as levels.
 
-    For whole numbers by whole numbers: cosines in 64ths, which no rounding can divide.
+    By whole numbers: cosines in 64ths, which no rounding can divide.
     """
-    rows = len(levels)
-    cosines, scale = _integer_cosines(rows)
-    if namespace(levels) is np:
-        return cosines @ levels * scale >> 16
+    cosines, scale = _integer_cosines(len(levels))
+    return cosines @ levels * scale >> 16
+
+
+def smooth_activity(levels: Float[Array, "rows components"]) -> Float[Array, "rows components"]:
+    """The same of any real levels, for gradients."""
+    cosines, scale = _integer_cosines(len(levels))
     return jnp.asarray(cosines * (scale / 65536), levels.dtype) @ levels
 
 

@@ -23,7 +23,7 @@ from ..quantise import ROUNDING
 from . import bands
 from .basis import DIRECTIONS, Basis, turn_of
 from .coefficients import Densities
-from .contexts import OCTAVE, PATH, BandContexts, fast_contexts, slow_activity, slow_contexts, smooth_magnitude
+from .contexts import OCTAVE, PATH, BandContexts, fast_contexts, slow_contexts, smooth_activity, smooth_magnitude
 from .density import Density
 from .pose_vectors import PoseVectors
 from .spectrum import Spectrum
@@ -121,7 +121,7 @@ def level_rate(transform: Transform, coded: Quantised) -> Float[Array, ""]:
     spectrum, levels = transform.spectrum, coded.levels
     prior = jnp.asarray(spectrum.slow_prior(len(levels[0]), 0), index.dtype) - index
     total = _band_rate(transform.slow, slow_contexts(prior, index), levels[0], coded.counts[0])
-    parents = smooth_magnitude(slow_activity(levels[0]))
+    parents = smooth_magnitude(smooth_activity(levels[0]))
     for octave, band in enumerate(levels[1:]):
         if not len(band) or not len(parents):
             break
@@ -154,7 +154,7 @@ def reconstruct(
 
 
 def _band_rate(density: Density, contexts: BandContexts, levels: Array, count: Array) -> Float[Array, ""]:
-    bits = density.bits(contexts.inputs_of(smooth_magnitude(levels)), levels.reshape(-1))
+    bits = density.bits(contexts.smooth_inputs(smooth_magnitude(levels)), levels.reshape(-1))
     return (bits.reshape(levels.shape) * _is_active(levels, count)).sum()
 
 

@@ -23,7 +23,7 @@ WEIGHT = 0.85  # of distortion against rate, where 1 is the slope of high rates
 _SHARE = 0.3
 _LEAST_CURVATURE = 0.3
 _SOFT = 0.4
-_STILL = 1e-4  # cm: components that the motion does not use at all stay unused, so that constant channels do
+STILL = 1e-4  # cm: components that the motion does not use at all stay unused, so that constant channels do
 _BOLDNESS = 0.8
 _TOO_FAR, _TIMID, _BOLD = 1.03, 0.6, 1.05
 
@@ -39,7 +39,7 @@ class Optimiser:
         self.step_index, self.step, self.shift = step_index, step, shift
         self.curvature = np.maximum(_BOLDNESS * curvatures, _LEAST_CURVATURE)
         self._random = np.random.default_rng(0)
-        self._moves = np.abs(y).max(0) > _STILL
+        self._moves = np.abs(y).max(0) > STILL
         wanted = bands.forward(y, octaves)
         self.levels: Levels = [np.rint(w / step).astype(np.int64) for w in wanted]
         self.levels = self.requantised(wanted, 0.5, np.ones(y.shape[1]))
@@ -47,7 +47,7 @@ class Optimiser:
 
     def reconstruction(self) -> Float[np.ndarray, "frames components"]:
         """All coefficients as they decode, in cm; `shift` is what jumps add to those of the levels."""
-        return bands.inverse([l * self.step for l in self.levels]) + self.shift
+        return bands.inverse([band * self.step for band in self.levels]) + self.shift
 
     def errors(self) -> Float[np.ndarray, "points frames"]:
         return self.distortion.errors(self.reconstruction())
@@ -61,7 +61,7 @@ class Optimiser:
             return error
         self._last, self._timid = (mean, self.levels), min(self._timid * _BOLD, 1.0)
         newton = bands.forward(np.where(self._moves, pull / (curvature * self.curvature)[None], 0.0), self.octaves)
-        wanted = [l * self.step - n for l, n in zip(self.levels, newton, strict=True)]
+        wanted = [band * self.step - n for band, n in zip(self.levels, newton, strict=True)]
         moved = self.requantised(wanted, weight, self.curvature)
         self.levels = [
             np.where(self._random.random(a.shape) < share * self._timid, b, a) for a, b in zip(self.levels, moved, strict=True)

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.spatial.transform import Rotation
 
 from ...motion import Motion
 from ...skeleton import Skeleton
@@ -78,6 +77,8 @@ def _fit(
 
 def _means(motion: Motion, figure: PoseVectors, scale: float, step: float) -> Int[np.ndarray, " size"]:
     """Counts of height, mean rotation vectors (of the rotations nearest to the sums) and mean shifts."""
+    from scipy.spatial.transform import Rotation  # which decoders need not wait for
+
     path, body = figure.analyse(motion, scale)
     local, _ = figure.local(np.zeros_like(path), body)
     u, _, vt = np.linalg.svd(local.sum(-1).transpose(2, 0, 1)[figure.turning])

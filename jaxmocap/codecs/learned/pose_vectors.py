@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Array, Float
-from scipy.spatial.transform import Rotation
 
 from ... import components as rot
 from ...components import A, namespace
@@ -150,6 +149,8 @@ def _heading(rotations: Float[np.ndarray, "frames 3 3"]) -> Float[np.ndarray, " 
 
 def _quaternions(rotations: Float[np.ndarray, "frames joints 3 3"]) -> Float[np.ndarray, "frames joints 4"]:
     """w, x, y, z."""
+    from scipy.spatial.transform import Rotation  # which decoders need not wait for
+
     q = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_quat(scalar_first=True)
     return q.reshape(*rotations.shape[:2], 4)
 

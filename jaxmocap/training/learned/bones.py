@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-from ...codecs.learned.bones import BoneModel
+from ...codecs.learned.bones import MOST_PEOPLE, BoneModel
 
 _NEVER_LESS = 0.02  # cm: no bone is so alike in a corpus that the next person's could not differ
 _ALIKE = 0.7
@@ -27,4 +27,5 @@ def fit_bones(people: Float[np.ndarray, "people bones 3"]) -> BoneModel:
         if apart[best, m].sum() < _ALIKE * spread[b].sum():
             partner[b], mirror[b], spread[b] = best, _MIRRORS[m], apart[best, m]
     levels = np.rint(16 * np.log2(np.maximum(spread, _NEVER_LESS))).astype(np.int64)
-    return BoneModel(np.rint(mean * 65536).astype(np.int64), levels, partner, mirror)
+    known = np.rint(people[:MOST_PEOPLE] * 65536).astype(np.int64)
+    return BoneModel(np.rint(mean * 65536).astype(np.int64), levels, partner, mirror, known)

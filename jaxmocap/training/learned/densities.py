@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from ...codecs.learned.density import Density
 from .rows import Rows
 
-BATCH = 8192
+BATCH = 2048
 PEAK_RATE = 3e-3
 
 

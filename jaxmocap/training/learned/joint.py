@@ -1,8 +1,9 @@
 """Refining a basis and densities together, end to end: bits of rounded levels and errors of decoded points in one loss.
 
-The weight of errors is drawn anew for every batch, and the step with it, so that one model serves all rates. The basis
-moves as a matrix times the one that it began with, in which two components mix the less, the less they are alike in
-size: a thousandth of the largest component would drown the smallest.
+The weight of errors is drawn anew for every batch, and the step with it, so that one model serves all rates. Components
+are turned into each other (Cayley's rotation), since the encoder counts on each moving the figure by itself alone: the
+less, the less they are alike in size, since a thousandth of the largest would drown the smallest. What is never coded
+stays as it was: a mean moved there would have to be coded in every clip.
 """
 
 from __future__ import annotations
@@ -35,14 +36,15 @@ from .augmentation import MOST_WARP, resampled, warp_times
 
 _ERRORS_CM = (0.1, 2.4)
 _BITS, _FALL = 3.0, 0.9  # a frame takes about 3 bits at 1 cm, and bits fall with the error to this power
+_LEAST_CODED = 0.05  # cm: components that are never larger are no levels at any step
 _WARM_UP = 0.1  # of all steps
 
 
 class Parameters(eqx.Module):
-    """What is refined: how components mix (zeros: as they were), the mean vectors, and the densities."""
+    """What is refined: how components turn into each other, where their mean is in cm (zeros: as it was), the densities."""
 
-    mixing: Float[Array, "components components"]
-    mean: Float[Array, " size"]
+    turns: Float[Array, "components components"]
+    shift: Float[Array, " components"]
     slow: Density
     fast: Density
 
@@ -79,7 +81,8 @@ class Refinement:
 
     def start(self) -> State:
         whole = Transform.of(self.basis, self.densities, 1.0)
-        parameters = Parameters(jnp.zeros([len(self.basis.synthesis)] * 2), whole.mean, whole.slow, whole.fast)
+        count = len(self.basis.synthesis)
+        parameters = Parameters(jnp.zeros((count, count)), jnp.zeros(count), whole.slow, whole.fast)
         return State(parameters, self._optimiser.init(eqx.filter(parameters, eqx.is_array)), jnp.zeros((), int))
 
     @eqx.filter_jit
@@ -107,15 +110,18 @@ class Refinement:
 
     def transform(self, parameters: Parameters, log_step: Float[Array, ""]) -> Transform:
         """What the parameters are at a step of 2^log_step cm."""
-        p, first = parameters, jnp.asarray(self.basis.synthesis, parameters.mixing.dtype)
-        synthesis = first + (p.mixing * self._alike) @ first
-        return Transform(p.mean, synthesis, jnp.asarray(self.basis.turn_cm), log_step, p.slow, p.fast, self.basis.spectrum)
+        p, first = parameters, jnp.asarray(self.basis.synthesis, parameters.turns.dtype)
+        half, whole = (p.turns - p.turns.T) * self._alike / 2, jnp.eye(len(first))
+        synthesis = jnp.linalg.solve(whole - half, (whole + half) @ first)
+        mean = jnp.asarray(self.basis.mean, first.dtype) + (p.shift * self._coded) @ first
+        return Transform(mean, synthesis, jnp.asarray(self.basis.turn_cm), log_step, p.slow, p.fast, self.basis.spectrum)
 
     def finish(self, state: State, clips: Sequence[Vectors]) -> tuple[Basis, Densities]:
         """The basis, in the precision that models keep, with its spectrum in these clips, and frozen densities."""
         p = state.parameters
-        synthesis = np.asarray(self.transform(p, jnp.zeros(())).synthesis, np.float16).astype(np.float64)
-        basis = Basis(np.asarray(p.mean, np.float64), synthesis, self.basis.turn_cm, self.basis.spectrum)
+        found = self.transform(p, jnp.zeros(()))
+        synthesis = np.asarray(found.synthesis, np.float16).astype(np.float64)
+        basis = Basis(np.asarray(found.mean, np.float64), synthesis, self.basis.turn_cm, self.basis.spectrum)
         coefficients = (basis.coefficients(path, body, direction_of(path)) for path, body in map(_on_host, clips))
         spectrum = fit_spectrum([bands.forward(y, self.octaves) for y in coefficients])
         densities = self.densities._replace(slow=p.slow.freeze(), fast=p.fast.freeze())
@@ -128,10 +134,15 @@ class Refinement:
         return optax.chain(optax.clip_by_global_norm(1.0), optax.adam(schedule))
 
     @functools.cached_property
+    def _coded(self) -> Float[np.ndarray, " components"]:
+        """1 for what is ever coded."""
+        return (self.basis.spectrum.slow[1:, PATH:].max(0) > OCTAVE * math.log2(_LEAST_CODED)).astype(np.float32)
+
+    @functools.cached_property
     def _alike(self) -> Float[np.ndarray, "components components"]:
         """The smaller of two components' sizes over the larger, as the corpus has them in motion."""
         size = self.basis.spectrum.slow[1:, PATH:].mean(0) / OCTAVE
-        return np.exp2(-np.abs(size[:, None] - size[None, :])).astype(np.float32)
+        return np.outer(self._coded, self._coded) * np.exp2(-np.abs(size[:, None] - size[None, :])).astype(np.float32)
 
     def _points(self, pose: Pose) -> Float[Array, "frames points 3"]:
         return points(pose, self.figure.skeleton.end_joints, self.metric)

@@ -31,7 +31,7 @@ from ...codecs.learned.optimise import WEIGHT
 from ...codecs.learned.pose_vectors import PoseVectors
 from ...codecs.learned.spectrum import Spectrum, fit_spectrum
 from ...codecs.quantise import PER_OCTAVE, step_cm
-from ...codecs.rig import Rig
+from ...codecs.rig import Rig, bones_of
 from ...errors import FormatError
 from ...motion import Motion
 from ...skeleton import Skeleton
@@ -39,14 +39,19 @@ from ..corpus import Corpus
 from ..loop import Stage, State, run
 from ..rigs import fit_rig
 from . import densities as fit
+from .augmentation import mirror_axis, mirrored
 from .bones import fit_bones
 from .rows import Rows, empty, joined, rows_of
 
 HIDDEN = 48
-_EPOCHS = {"plain": 4, "optimal": 4, "final": 6}
+_EPOCHS = {"plain": 4, "optimal": 4, "final": 12}
 _ROUNDS = 12
-_STEPS = {"plain": (1 * PER_OCTAVE, 12 * PER_OCTAVE), "optimal": (3 * PER_OCTAVE, 12 * PER_OCTAVE), "final": (PER_OCTAVE, 12 * PER_OCTAVE)}
-_DRAWS = {"plain": 4, "optimal": 1, "final": 2}
+_STEPS = {  # ranges of step indices
+    "plain": (1 * PER_OCTAVE, 12 * PER_OCTAVE),
+    "optimal": (3 * PER_OCTAVE, 12 * PER_OCTAVE),
+    "final": (1 * PER_OCTAVE, 12 * PER_OCTAVE),
+}
+_DRAWS = {"plain": 2, "optimal": 1, "final": 1}
 _HELD_OUT = 7  # every seventh file says when to stop
 
 
@@ -64,7 +69,7 @@ def train_learned(corpus: Corpus, checkpoint: Path) -> tuple[Artifact, dict]:
         "codec": "learned",
         "digest": artifact.digest,
         "files": len(corpus.files),
-        "frames": int(state["frames"].sum()),
+        "frames": int(state["frames"][: len(corpus.files)].sum()),
         "curves": {key.removeprefix("curve."): value.tolist() for key, value in state.items() if key.startswith("curve.")},
         "components": {metric: model.bases[metric].components for metric in METRICS},
     }
@@ -80,9 +85,13 @@ class Trainer:
             raise FormatError(f"the corpus has {len(rigs)} rigs, wanted one: train a model for each")
         self.corpus = corpus
         self.files = corpus.files
+        self._analysed: dict[int, tuple[PoseVectors, np.ndarray, np.ndarray]] = {}
+        self._rows_made: tuple[str, dict[str, tuple[Rows, Rows]]] = ("", {})
+        # Where the rig has two sides, every file is there twice: as it is, and mirrored.
+        self.items = len(corpus.files) * (2 if _has_sides(rigs[0][0]) else 1)
 
     def stages(self) -> list[Stage]:
-        files = len(self.files)
+        files = self.items
         stages = [Stage("mean pose", files, self._add_rotations), Stage("moments", files, self._add_moments)]
         stages += [Stage("spectra", len(METRICS), self._fit_spectrum)]
         for name, epochs in _EPOCHS.items():
@@ -102,15 +111,14 @@ class Trainer:
         path, body = plain.analyse(motion, motion.scale)
         local, _ = plain.local(np.zeros_like(path), body)
         total = local.sum(-1).transpose(2, 0, 1)
-        still = constants_of(motion.values)
-        bones = np.concatenate([motion.skeleton.offsets, motion.skeleton.end_offsets])[None]
-        return {
-            "rotations": state.get("rotations", 0.0) + total,
-            "bones": np.concatenate([*([state["bones"]] if "bones" in state else []), bones]),
-            "frames": np.append(state.get("frames", np.zeros(0, np.int64)), motion.frame_count),
-            "unit": np.array([motion.scale, motion.frame_time]),
-            "constants": np.where(state.get("constants", still) == still, still, np.nan),
-        }
+        state = {**state, "rotations": state.get("rotations", 0.0) + total}
+        state["frames"] = np.append(state.get("frames", np.zeros(0, np.int64)), motion.frame_count)
+        if item < len(self.files):
+            still, bones = constants_of(motion.values), bones_of(motion.skeleton)[None]
+            state["constants"] = np.where(state.get("constants", still) == still, still, np.nan)
+            state["bones"] = np.concatenate([*([state["bones"]] if item else []), bones])
+            state["unit"] = np.array([motion.scale, motion.frame_time])
+        return state
 
     def _add_moments(self, state: State, item: int) -> State:
         figure, _, body = self._vectors(state, item)
@@ -131,7 +139,7 @@ class Trainer:
         unknown = Spectrum(np.zeros((1, 3 + len(synthesis))), np.zeros((1, 3 + len(synthesis))))
         turn_cm = float(np.float32(np.sqrt(state[f"{metric}.radius"][0] / count)))
         basis = Basis(mean.astype(np.float32).astype(np.float64), synthesis.astype(np.float16).astype(np.float64), turn_cm, unknown)
-        spectrum = fit_spectrum([bands.forward(self._coefficients(state, basis, n)[1], self._octaves(state)) for n in range(len(self.files))])
+        spectrum = fit_spectrum([bands.forward(self._coefficients(state, basis, n)[1], self._octaves(state)) for n in range(self.items)])
         return {
             **state,
             f"{metric}.mean": basis.mean, f"{metric}.synthesis": basis.synthesis, f"{metric}.turn_cm": np.array([turn_cm]),
@@ -188,37 +196,37 @@ class Trainer:
             state = {**state, **_flatten(density, f"{which}.best")}
         return state
 
-    @functools.lru_cache(maxsize=1)  # noqa: B019  a trainer lives as long as its run
-    def _rows_of_stage(self, name: str, key: tuple[str, ...]) -> dict[str, tuple[Rows, Rows]]:
-        state = self._state_of_rows
+    def _rows(self, state: State, name: str) -> dict[str, tuple[Rows, Rows]]:
+        """Rows for training and rows held out, of either network; made once a stage."""
+        if self._rows_made[0] != name:
+            self._rows_made = (name, self._make_rows(state))
+        return self._rows_made[1]
+
+    def _make_rows(self, state: State) -> dict[str, tuple[Rows, Rows]]:
         parts: dict[str, tuple[list[Rows], list[Rows]]] = {
             "slow": ([empty(SLOW_INPUTS)], [empty(SLOW_INPUTS)]),
             "fast": ([empty(FAST_INPUTS)], [empty(FAST_INPUTS)]),
         }
-        for stem in key:
+        for stem in sorted({key.rpartition(".")[0] for key in state if key.startswith("levels.")}):
             _, item, metric, _, index = stem.split(".")
             basis = self._basis(state, metric)
             levels = []
             while f"{stem}.{len(levels)}" in state:
                 band = state[f"{stem}.{len(levels)}"]
                 levels.append(np.pad(band.astype(np.int64), ((0, 0), (0, basis.components - band.shape[1]))))
-            held_out = int(item) % _HELD_OUT == _HELD_OUT - 1 or len(self.files) == 1
+            held_out = int(item) % len(self.files) % _HELD_OUT == _HELD_OUT - 1
             random = np.random.default_rng(int(item))
             for which, rows in zip(("slow", "fast"), rows_of(levels, basis.spectrum, int(index), random), strict=True):
                 parts[which][held_out].append(rows)
         found = {}
         for which, (train, held) in parts.items():
-            train, held = joined(train), joined(held)
-            found[which] = (train if len(train.sizes) else held, held if len(held.sizes) else train)
+            rows, held_out = joined(train), joined(held)
+            found[which] = (rows, held_out if len(held_out.sizes) else rows)  # a small corpus has nothing to hold out
         return found
 
-    def _rows(self, state: State, name: str) -> dict[str, tuple[Rows, Rows]]:
-        stems = sorted({key.rpartition(".")[0] for key in state if key.startswith("levels.")})
-        self._state_of_rows = state
-        return self._rows_of_stage(name, tuple(stems))
-
     def _motion(self, item: int) -> Motion:
-        return self.corpus.motion(self.files[item])
+        motion = self.corpus.motion(self.files[item % len(self.files)])
+        return motion if item < len(self.files) else mirrored(motion)
 
     def _rig(self, state: State) -> Rig:
         first = self._motion(0).skeleton
@@ -228,15 +236,13 @@ class Trainer:
         ]
         return fit_rig(people, state["rotations"], float(state["unit"][0]), float(state["unit"][1]))
 
-    @functools.cache  # noqa: B019
-    def _vectors_of(self, item: int) -> tuple[PoseVectors, np.ndarray, np.ndarray]:
-        motion = self._motion(item)
-        figure = PoseVectors(in_cm(motion.skeleton, motion.scale), self._mean)
-        return (figure, *figure.analyse(motion, motion.scale))
-
     def _vectors(self, state: State, item: int) -> tuple[PoseVectors, np.ndarray, np.ndarray]:
-        self._mean = self._rig(state).expected.astype(np.float32).astype(np.float64) if not hasattr(self, "_mean") else self._mean
-        return self._vectors_of(item)
+        """Figure, path and body of an item about the mean pose, which is settled before any stage asks."""
+        if item not in self._analysed:
+            motion = self._motion(item)
+            figure = PoseVectors(in_cm(motion.skeleton, motion.scale), self._rig(state).expected.astype(np.float32).astype(np.float64))
+            self._analysed[item] = (figure, *figure.analyse(motion, motion.scale))
+        return self._analysed[item]
 
     def _coefficients(self, state: State, basis: Basis, item: int) -> tuple[int, np.ndarray]:
         _, path, body = self._vectors(state, item)
@@ -270,3 +276,11 @@ def _flatten(tree, name: str) -> State:
 def _unflatten(tree, state: State, name: str):
     leaves, structure = jax.tree.flatten(tree)
     return jax.tree.unflatten(structure, [jnp.asarray(state[f"{name}.{n}"]) for n in range(len(leaves))])
+
+
+def _has_sides(skeleton: Skeleton) -> bool:
+    try:
+        mirror_axis(skeleton)
+    except ValueError:
+        return False
+    return True
