@@ -29,7 +29,7 @@ def rig(parents: list[int], channels: list[tuple[str, ...]], turned: bool = Fals
     random = np.random.default_rng(len(parents))
     offsets = random.normal(scale=15, size=(len(parents), 3))
     leaves = sorted(set(range(len(parents))) - set(parents))
-    axes = Rotation.random(len(parents), random_state=1).as_matrix() if turned else None
+    axes = Rotation.from_rotvec(random.normal(size=offsets.shape)).as_matrix() if turned else None
     names = [f"j{n}" for n in range(len(parents))]
     skeleton = Skeleton(names, parents, offsets, channels, leaves, offsets[leaves] / 2, axes)
     rate, phase = random.uniform(0.5, 3, (2, 1, skeleton.channel_count))
@@ -53,8 +53,8 @@ metrics = pytest.mark.parametrize("metric", METRICS)
 
 def figure_of(motion: Motion, means: bool = True) -> PoseVectors:
     joints = motion.skeleton.joint_count
-    mean = Rotation.random(joints, random_state=2).as_matrix() if means else np.tile(np.eye(3), (joints, 1, 1))
-    return PoseVectors(in_cm(motion.skeleton, motion.scale), mean)
+    about = np.random.default_rng(2).normal(size=(joints, 3)) * means
+    return PoseVectors(in_cm(motion.skeleton, motion.scale), Rotation.from_rotvec(about).as_matrix())
 
 
 @rigs

@@ -33,7 +33,7 @@ def encode_to_max(source: Source, cm: float) -> tuple[int, Coded]:
         coded, largest = mended(source, attempt.coded(), attempt.step, cm)
         if largest <= cm:
             best = finer, coded
-            extra = correction_bytes(coded.corrections, *source.coefficients.shape, source.octaves)
+            extra = correction_bytes(coded.corrections, len(source.path), source.octaves, source.basis.components)
             if extra <= _MOST_SHARE * (extra + attempt.bits() / 8):
                 break
     if best is None:

@@ -70,7 +70,7 @@ def encode_corrections(encoder: Encoder, corrections: Corrections, frames: int, 
             encoder.encode_bits(int(level < 0), 1)
 
 
-def correction_bytes(corrections: Corrections, frames: int, components: int, octaves: int) -> int:
+def correction_bytes(corrections: Corrections, frames: int, octaves: int, components: int) -> int:
     """What they take by themselves."""
     encoder = RangeEncoder()
     encode_corrections(encoder, corrections, frames, octaves, components)

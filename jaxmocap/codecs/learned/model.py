@@ -54,7 +54,7 @@ class LearnedModel:
     @staticmethod
     def _load(artifact: Artifact) -> LearnedModel:
         t = artifact.tensors
-        bases = {
+        bases: dict[Metric, Basis] = {
             metric: Basis(
                 t[f"{metric}.mean"].astype(np.float64),
                 t[f"{metric}.synthesis"].astype(np.float64),

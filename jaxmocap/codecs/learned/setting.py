@@ -99,8 +99,9 @@ def _split_sections(data: bytes, count: int) -> list[bytes]:
 
 
 def _sources(
-    motion: Motion, scale: float, original: PoseVectors, decoding: PoseVectors, basis: Basis, metric: Metric, model: LearnedModel
-) -> list[Source]:
+    motion: Motion, scale: float, original: PoseVectors, decoding: PoseVectors, basis: Basis, metric: Metric,
+    model: LearnedModel,
+) -> list[Source]:  # fmt: skip
     """Every chunk of the motion."""
     octaves = bands.octave_count(motion.frame_time)
     starts = range(0, motion.frame_count, CHUNK_FRAMES)

@@ -25,13 +25,15 @@ def loss(density: Density, contexts: Float[Array, "rows inputs"], sizes: Float[A
 
 
 @eqx.filter_jit
-def epoch(density: Density, state: optax.OptState, rows: Rows, order: Array, steps: int) -> tuple[Density, optax.OptState, Array]:
+def epoch(
+    density: Density, state: optax.OptState, rows: Rows, order: Array, steps: int
+) -> tuple[Density, optax.OptState, Array]:
     """One pass over the rows in batches; `order` is (batches, batch). Gives the mean loss, too."""
     arrays, static = eqx.partition(density, eqx.is_array)
 
     def step(carry, chosen):
         arrays, state = carry
-        x, y = rows.contexts[chosen].astype(jnp.float32), rows.sizes[chosen]
+        x, y = jnp.asarray(rows.contexts[chosen], jnp.float32), jnp.asarray(rows.sizes[chosen])
         value, gradient = eqx.filter_value_and_grad(loss)(eqx.combine(arrays, static), x, y)
         update, state = optimiser(steps).update(gradient, state)
         return (eqx.apply_updates(arrays, update), state), value
@@ -43,4 +45,4 @@ def epoch(density: Density, state: optax.OptState, rows: Rows, order: Array, ste
 @eqx.filter_jit
 def evaluate(density: Density, rows: Rows) -> Float[Array, ""]:
     """Mean bits a level over all rows."""
-    return loss(density, rows.contexts.astype(jnp.float32), rows.sizes)
+    return loss(density, jnp.asarray(rows.contexts, jnp.float32), jnp.asarray(rows.sizes))

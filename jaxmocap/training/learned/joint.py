@@ -3,11 +3,12 @@
 The weight of errors is drawn anew for every batch, and the step with it, so that one model serves all rates. Components
 are turned into each other (Cayley's rotation), since the encoder counts on each moving the figure by itself alone: the
 less, the less they are alike in size, since a thousandth of the largest would drown the smallest. What is never coded
-stays as it was: a mean moved there would have to be coded in every clip.
+stays as it was, and so does the mean: where it is moved, every clip has to code that it is not there.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import math
 from collections.abc import Sequence
@@ -41,10 +42,9 @@ _WARM_UP = 0.1  # of all steps
 
 
 class Parameters(eqx.Module):
-    """What is refined: how components turn into each other, where their mean is in cm (zeros: as it was), the densities."""
+    """What is refined: how components turn into each other (zeros: not at all), and the densities."""
 
     turns: Float[Array, "components components"]
-    shift: Float[Array, " components"]
     slow: Density
     fast: Density
 
@@ -81,8 +81,7 @@ class Refinement:
 
     def start(self) -> State:
         whole = Transform.of(self.basis, self.densities, 1.0)
-        count = len(self.basis.synthesis)
-        parameters = Parameters(jnp.zeros((count, count)), jnp.zeros(count), whole.slow, whole.fast)
+        parameters = Parameters(jnp.zeros([len(self.basis.synthesis)] * 2), whole.slow, whole.fast)
         return State(parameters, self._optimiser.init(eqx.filter(parameters, eqx.is_array)), jnp.zeros((), int))
 
     @eqx.filter_jit
@@ -113,19 +112,18 @@ class Refinement:
         p, first = parameters, jnp.asarray(self.basis.synthesis, parameters.turns.dtype)
         half, whole = (p.turns - p.turns.T) * self._alike / 2, jnp.eye(len(first))
         synthesis = jnp.linalg.solve(whole - half, (whole + half) @ first)
-        mean = jnp.asarray(self.basis.mean, first.dtype) + (p.shift * self._coded) @ first
-        return Transform(mean, synthesis, jnp.asarray(self.basis.turn_cm), log_step, p.slow, p.fast, self.basis.spectrum)
+        mean, turn_cm = jnp.asarray(self.basis.mean, first.dtype), jnp.asarray(self.basis.turn_cm, first.dtype)
+        return Transform(mean, synthesis, turn_cm, log_step, p.slow, p.fast, self.basis.spectrum)
 
     def finish(self, state: State, clips: Sequence[Vectors]) -> tuple[Basis, Densities]:
         """The basis, in the precision that models keep, with its spectrum in these clips, and frozen densities."""
         p = state.parameters
-        found = self.transform(p, jnp.zeros(()))
-        synthesis = np.asarray(found.synthesis, np.float16).astype(np.float64)
-        basis = Basis(np.asarray(found.mean, np.float64), synthesis, self.basis.turn_cm, self.basis.spectrum)
+        synthesis = np.asarray(self.transform(p, jnp.zeros(())).synthesis, np.float16).astype(np.float64)
+        basis = dataclasses.replace(self.basis, synthesis=synthesis)
         coefficients = (basis.coefficients(path, body, direction_of(path)) for path, body in map(_on_host, clips))
         spectrum = fit_spectrum([bands.forward(y, self.octaves) for y in coefficients])
         densities = self.densities._replace(slow=p.slow.freeze(), fast=p.fast.freeze())
-        return Basis(basis.mean, synthesis, basis.turn_cm, spectrum), densities
+        return dataclasses.replace(basis, spectrum=spectrum), densities
 
     @functools.cached_property
     def _optimiser(self) -> optax.GradientTransformation:
