@@ -112,7 +112,7 @@ def test_model_and_report(folder, trained):
 def test_model_codes_another_walk(trained):
     """Smaller than with the basis that travels along, which is what an untrained rig costs."""
     motion = walk(seed=9, seconds=SECONDS)
-    settings = {"target": {"kind": "mean", "cm": 1.0}}
+    settings = {"codec": "lsdt-clip", "target": {"kind": "mean", "cm": 1.0}}
     data = make(settings, trained[0]).encode(motion)
     assert measured(motion, make(settings, trained[0]).decode(data)) <= 1.0
     s = motion.skeleton
@@ -148,7 +148,7 @@ def test_broken_models_are_refused(trained, tmp_path):
     for number, bytes_ in enumerate(broken + foreign):
         with pytest.raises(FormatError, match="model"):
             parse_artifact(bytes_, f"model {number}")
-    with pytest.raises(FormatError, match="wanted a model file or one of exact, lsdt-clip"):
+    with pytest.raises(FormatError, match="wanted a model file or one of exact, learned, lsdt-clip"):
         load_artifact(tmp_path / "missing")
 
 

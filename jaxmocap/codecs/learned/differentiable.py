@@ -123,8 +123,8 @@ def level_rate(transform: Transform, coded: Quantised) -> Float[Array, ""]:
     total = _band_rate(transform.slow, slow_contexts(prior, index), levels[0], coded.counts[0])
     parents = smooth_magnitude(smooth_activity(levels[0]))
     for octave, band in enumerate(levels[1:]):
-        if not len(band) or not len(parents):
-            break
+        if not len(band):
+            continue
         prior = jnp.asarray(spectrum.fast_prior(len(band), octave, 0), index.dtype) - index
         contexts = fast_contexts(prior, index, octave, parents)
         total = total + _band_rate(transform.fast, contexts, band, coded.counts[octave + 1])

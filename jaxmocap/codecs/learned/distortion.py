@@ -35,7 +35,8 @@ class Distortion:
         self, figure: PoseVectors, basis: Basis, metric: Metric, direction: int,
         original: PoseVectors, path: np.ndarray, body: np.ndarray,
     ):  # fmt: skip
-        self._figure, self._basis, self._metric, self._direction = figure, basis, metric, direction
+        self._figure, self._basis, self._direction = figure, basis, direction
+        self._metric: Metric = metric
         self.target = points_of(original, metric, path.astype(np.float32), body.astype(np.float32))
 
     def gradient(

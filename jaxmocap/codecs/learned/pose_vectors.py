@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from jaxtyping import Array, Float
@@ -73,7 +74,7 @@ class PoseVectors:
         frames, joints, turns = len(body), self.skeleton.joint_count, len(self.turning)
         vectors = body[:, 1 : 1 + 3 * turns].reshape(frames, turns, 3).transpose(2, 1, 0)
         mean = xp.asarray(self.mean[self.turning], body.dtype).transpose(1, 2, 0)[..., None]
-        turned = rot.multiply(mean, rot.from_rotation_vector(vectors))
+        turned: Any = rot.multiply(mean, rot.from_rotation_vector(vectors))
         if self.has_heading:
             first = rot.multiply(_about_y(path[:, 2]), turned[:, :, 0])[:, :, None]
             turned = xp.concatenate([first, turned[:, :, 1:]], 2)

@@ -31,7 +31,7 @@ from ...codecs.learned.optimise import WEIGHT
 from ...codecs.learned.pose_vectors import PoseVectors
 from ...codecs.learned.spectrum import Spectrum, fit_spectrum
 from ...codecs.quantise import PER_OCTAVE, step_cm
-from ...codecs.rig import Rig, bones_of
+from ...codecs.rig import Rig, bones_of, with_bones
 from ...errors import FormatError
 from ...motion import Motion
 from ...skeleton import Skeleton
@@ -138,8 +138,9 @@ class Trainer:
         synthesis = weighted_klt(state[f"{metric}.jacobian"] / count, covariance)
         unknown = Spectrum(np.zeros((1, 3 + len(synthesis))), np.zeros((1, 3 + len(synthesis))))
         turn_cm = float(np.float32(np.sqrt(state[f"{metric}.radius"][0] / count)))
-        basis = Basis(mean.astype(np.float32).astype(np.float64), synthesis.astype(np.float16).astype(np.float64), turn_cm, unknown)
-        spectrum = fit_spectrum([bands.forward(self._coefficients(state, basis, n)[1], self._octaves(state)) for n in range(self.items)])
+        basis = Basis(_rounded(mean, np.float32), _rounded(synthesis, np.float16), turn_cm, unknown)
+        coefficients = (self._coefficients(state, basis, n)[1] for n in range(self.items))
+        spectrum = fit_spectrum([bands.forward(y, self._octaves(state)) for y in coefficients])
         return {
             **state,
             f"{metric}.mean": basis.mean, f"{metric}.synthesis": basis.synthesis, f"{metric}.turn_cm": np.array([turn_cm]),
@@ -208,8 +209,8 @@ class Trainer:
             "fast": ([empty(FAST_INPUTS)], [empty(FAST_INPUTS)]),
         }
         for stem in sorted({key.rpartition(".")[0] for key in state if key.startswith("levels.")}):
-            _, item, metric, _, index = stem.split(".")
-            basis = self._basis(state, metric)
+            _, item, of, _, index = stem.split(".")
+            basis = self._basis(state, next(metric for metric in METRICS if metric == of))
             levels = []
             while f"{stem}.{len(levels)}" in state:
                 band = state[f"{stem}.{len(levels)}"]
@@ -230,17 +231,15 @@ class Trainer:
 
     def _rig(self, state: State) -> Rig:
         first = self._motion(0).skeleton
-        people = [
-            Skeleton(first.names, first.parents, b[: first.joint_count], first.channels, first.end_joints, b[first.joint_count :], first.axes)
-            for b in np.unique(state["bones"], axis=0)
-        ]
+        people = [with_bones(first, bones) for bones in np.unique(state["bones"], axis=0)]
         return fit_rig(people, state["rotations"], float(state["unit"][0]), float(state["unit"][1]))
 
     def _vectors(self, state: State, item: int) -> tuple[PoseVectors, np.ndarray, np.ndarray]:
         """Figure, path and body of an item about the mean pose, which is settled before any stage asks."""
         if item not in self._analysed:
             motion = self._motion(item)
-            figure = PoseVectors(in_cm(motion.skeleton, motion.scale), self._rig(state).expected.astype(np.float32).astype(np.float64))
+            mean = _rounded(self._rig(state).expected, np.float32)
+            figure = PoseVectors(in_cm(motion.skeleton, motion.scale), mean)
             self._analysed[item] = (figure, *figure.analyse(motion, motion.scale))
         return self._analysed[item]
 
@@ -267,6 +266,11 @@ class Trainer:
             return _unflatten(self._density(state, which), state, f"{which}.best").freeze()
 
         return Densities(best("slow"), best("fast"), logistic_table(), tail_table())
+
+
+def _rounded(x: np.ndarray, to: type[np.floating]) -> np.ndarray:
+    """As the model's file will hold it."""
+    return x.astype(to).astype(np.float64)
 
 
 def _flatten(tree, name: str) -> State:
