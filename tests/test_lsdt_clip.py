@@ -77,7 +77,7 @@ def test_real_motion(data_dir, clip):
     motion = read_motion(data_dir / "cmu_bvh" / f"{clip}.bvh", UNIT_CM).frames(1)
     sizes = {}
     for form in ("runs", "paper"):
-        codec = make({"form": form, "target": {"kind": "mean", "cm": 1.0}})
+        codec = make({"codec": "lsdt-clip", "form": form, "target": {"kind": "mean", "cm": 1.0}})
         data = codec.encode(motion)
         assert measured(motion, codec.decode(data)) <= 1.0
         sizes[form] = len(data)
@@ -88,7 +88,7 @@ def test_real_motion(data_dir, clip):
 def test_decoding_imports_nothing_of_training(tmp_path):
     motion = walk(seed=4, seconds=1.0)
     stream, out = tmp_path / "walk.jmc", tmp_path / "walk.bvh"
-    stream.write_bytes(make({"target": {"kind": "mean", "cm": 1.0}}).encode(motion))
+    stream.write_bytes(make({"codec": "lsdt-clip", "target": {"kind": "mean", "cm": 1.0}}).encode(motion))
     code = (
         "import runpy, sys\n"
         f"sys.argv = ['jaxmocap', 'decode', {str(stream)!r}, '-o', {str(out)!r}]\n"
@@ -108,8 +108,8 @@ def test_unit_known_or_not_takes_the_same_bytes(tmp_path):
     """BVH has no unit: a figure of the model's rig is taken to be of the model's unit, and its bones decode the same."""
     motion = walk(seed=4, seconds=1.0)
     nameless = Motion(motion.skeleton, motion.values, motion.frame_time, None)
-    known = make({"target": {"kind": "step", "cm": 8.0}}).encode(motion)
-    unknown = make({"target": {"kind": "step", "cm": 8.0 / UNIT_CM}}).encode(nameless)
+    known = make({"codec": "lsdt-clip", "target": {"kind": "step", "cm": 8.0}}).encode(motion)
+    unknown = make({"codec": "lsdt-clip", "target": {"kind": "step", "cm": 8.0 / UNIT_CM}}).encode(nameless)
     decoded = decode(unknown)
     assert decoded.unit_cm is None
     np.testing.assert_allclose(decoded.values, decode(known).values, atol=1e-3)
@@ -121,18 +121,18 @@ def test_finest_step_is_refused_far_from_the_origin():
     values = motion.values.copy()
     values[:, 0] += 1e5
     with pytest.raises(JaxmocapError, match="too fine"):
-        make({"target": {"kind": "step", "cm": 0.01}}).encode(motion.with_values(values))
+        make({"codec": "lsdt-clip", "target": {"kind": "step", "cm": 0.01}}).encode(motion.with_values(values))
 
 
 @pytest.mark.parametrize("settings", [{"clip_frames": 100}, {"form": "zip"}, {"target": {"kind": "step", "cm": 1e-4}}])
 def test_settings_out_of_range(settings):
     with pytest.raises(ValueError, match="wanted"):
-        make(settings).encode(walk(seed=4, seconds=1.0))
+        make({"codec": "lsdt-clip", **settings}).encode(walk(seed=4, seconds=1.0))
 
 
 @pytest.fixture(scope="session")
 def short() -> bytes:
-    return make({"target": {"kind": "mean", "cm": 1.0}}).encode(walk(seed=4, seconds=1.0))
+    return make({"codec": "lsdt-clip", "target": {"kind": "mean", "cm": 1.0}}).encode(walk(seed=4, seconds=1.0))
 
 
 def with_skeleton(data: bytes, skeleton: bytes, unit_cm: float | None = None) -> bytes:
