@@ -36,6 +36,13 @@ def artifact() -> Artifact:
     return load_artifact("lsdt-clip")
 
 
+def compiler_of(names: tuple[str, ...]) -> str:
+    found = next(filter(None, map(shutil.which, names)), None)
+    if found is None:
+        pytest.skip(f"no compiler: none of {', '.join(names)} is installed")
+    return found
+
+
 @pytest.fixture(scope="module")
 def build(artifact: Artifact, tmp_path_factory: pytest.TempPathFactory):
     """Compiles a source of tests/c beside the exported header."""
@@ -43,9 +50,7 @@ def build(artifact: Artifact, tmp_path_factory: pytest.TempPathFactory):
     (folder / "lsdt_clip.h").write_bytes(export_model(artifact, "c"))
 
     def compiled(source: str, compilers: tuple[str, ...], *flags: str) -> Path:
-        compiler = next(filter(None, map(shutil.which, compilers)), None)
-        if compiler is None:
-            pytest.skip(f"no compiler: none of {', '.join(compilers)} is installed")
+        compiler = compiler_of(compilers)
         program = folder / f"{Path(source).stem}_{compilers[0]}"
         command = [compiler, *flags, *STRICT, f"-I{folder}", str(SOURCES / source), "-o", str(program), "-lm"]
         result = subprocess.run(command, capture_output=True, text=True)
@@ -216,9 +221,7 @@ def test_c_header_of_learned_reads_back_exactly(tmp_path):
     writes = "".join(f"fwrite(learned_{n.replace('.', '_')}, sizeof learned_{n.replace('.', '_')}, 1, f);" for n in wanted)
     text = f'#include <stdio.h>\n#include "learned.h"\nint main(int n, char **a){{FILE *f = fopen(a[n - 1], "wb");{writes}'
     (tmp_path / "dump.c").write_text(text + "return fclose(f);}")
-    compiler = next(filter(None, map(shutil.which, ("cc", "gcc", "clang"))), None)
-    if compiler is None:
-        pytest.skip("no compiler")
+    compiler = compiler_of(("cc", "gcc", "clang"))
     command = [compiler, "-std=c99", *STRICT, "-Wno-unused-variable", "-Wno-unused-const-variable", f"-I{tmp_path}"]
     subprocess.run([*command, tmp_path / "dump.c", "-o", tmp_path / "dump"], check=True)
     subprocess.run([tmp_path / "dump", tmp_path / "out"], check=True, timeout=20)

@@ -92,6 +92,11 @@ def find_artifact(digest: bytes, at_hand: Artifact | None = None) -> Artifact:
     raise ModelMismatch(f"the stream needs the model {wanted}..., which is not shipped: pass its file with --model")
 
 
+def stream_artifact(embedded: bytes | None, digest: bytes, at_hand: Artifact | None) -> Artifact:
+    """The model that a stream needs: the one inside it, or what `find_artifact` finds."""
+    return find_artifact(digest, at_hand) if embedded is None else parse_artifact(embedded, "the stream's model")
+
+
 @functools.cache
 def shipped_models() -> tuple[str, ...]:
     """The ids of the models inside the package."""

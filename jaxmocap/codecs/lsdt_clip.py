@@ -22,7 +22,7 @@ from ..kinematics import pose, positions_cm
 from ..motion import Motion
 from ..skeleton import Skeleton
 from . import coefficients_paper, coefficients_runs, lsdt_basis
-from .artifact import Artifact, find_artifact, parse_artifact
+from .artifact import Artifact, stream_artifact
 from .base import AbstractCodec, Target, frame_range
 from .clips import Cut, analyse, cut, synthesise, to_clips
 from .coefficients_runs import frame_rate
@@ -114,7 +114,7 @@ def decode(stream: Stream, at_hand: Artifact | None, frames: slice | None = None
     """The motion of a stream, or some of its frames; `at_hand` is a model that may be the one it needs."""
     header = stream.header
     form, clip_frames, index = _params(header)
-    model = _model(_artifact(header, at_hand))
+    model = _model(stream_artifact(header.model, header.digest, at_hand))
     unit_cm = model.rig.unit_cm if header.unit_cm is None else header.unit_cm or None
     skeleton, scale, rest, is_known = read_skeleton(header.skeleton, model.rig, unit_cm, index)
     coding = lsdt_basis.known(model) if is_known else lsdt_basis.read_own(rest, skeleton.joint_count, model, form)
@@ -291,12 +291,6 @@ def _params(header: Header) -> tuple[str, int, int]:
     if header.chunk_frames != min(CHUNK_CLIPS * clip_frames, header.frames):
         raise CorruptStream(f"the stream has chunks of {header.chunk_frames} frames for clips of {clip_frames}")
     return FORMS[first >> 7], clip_frames, index
-
-
-def _artifact(header: Header, at_hand: Artifact | None) -> Artifact:
-    if header.model is not None:
-        return parse_artifact(header.model, "the stream's model")
-    return find_artifact(header.digest, at_hand)
 
 
 @functools.lru_cache(maxsize=8)

@@ -18,7 +18,7 @@ from .optimise import WEIGHT, Optimiser
 from .payload import Coded
 from .pose_vectors import PoseVectors
 
-POWER = 0.73  # errors grow so with the step
+_POWER, _MEAN_AT_1_CM = 0.73, 0.59  # the mean error is about 0.59 step^0.73, both in cm
 _GAIN = 0.885  # what optimising leaves of the mean error of plain rounding
 
 _ROUNDS = 20
@@ -114,7 +114,17 @@ class Attempt:
 
 def steps_apart(ratio: float) -> float:
     """How many steps finer the quantiser must be for errors so many times smaller."""
-    return PER_OCTAVE * math.log2(ratio) / POWER
+    return PER_OCTAVE * math.log2(ratio) / _POWER
+
+
+def mean_of_step(step: float) -> float:
+    """About the mean error that a step leaves; both in cm."""
+    return _MEAN_AT_1_CM * step**_POWER
+
+
+def step_of_mean(mean_cm: float) -> float:
+    """The step that leaves about this mean error."""
+    return (mean_cm / _MEAN_AT_1_CM) ** (1 / _POWER)
 
 
 def index_of(step: float) -> int:

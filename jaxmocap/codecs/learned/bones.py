@@ -11,9 +11,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ...errors import CorruptStream
-from ..entropy import integers
 from ..entropy.range_coder import RangeDecoder, RangeEncoder
-from .coefficients import decode_signs, encode_signs
+from .coefficients import decode_signs, decode_sizes, encode_signs, encode_sizes, tail_frequencies
 from .density import tail_rows_of
 
 FINENESSES = 16
@@ -76,10 +75,7 @@ def write_bones(bones: Float[np.ndarray, "bones 3"], model: BoneModel, fineness:
     encoder.encode_bits(size, _SIZE_BITS)
     for b, own in enumerate(strayed):
         levels = own - _of_partner(model, strayed, b)
-        symbol, raw, count = integers.split(np.abs(levels))
-        encoder.encode_each(symbol, _frequencies(model, b, octave, tail))
-        for value, bits in zip(raw.tolist(), count.tolist(), strict=True):
-            encoder.encode_bits(value, bits)
+        encode_sizes(encoder, np.abs(levels), _frequencies(model, b, octave, tail))
         encode_signs(encoder, levels[levels != 0])
     return encoder.finish()
 
@@ -96,8 +92,7 @@ def read_bones(data: bytes, model: BoneModel, fineness: int, tail: np.ndarray) -
         return np.ldexp(model.people[person].astype(np.float64), -_FIXED_POINT)
     strayed = np.zeros_like(model.mean)
     for b in range(len(strayed)):
-        symbols = decoder.decode_each(_frequencies(model, b, octave, tail))
-        sizes = np.array([integers.join(s, decoder.decode_bits(integers.raw_bits(s))) for s in symbols.tolist()], np.int64)
+        sizes = decode_sizes(decoder, _frequencies(model, b, octave, tail))
         strayed[b] = decode_signs(decoder, sizes) + _of_partner(model, strayed, b)
     return np.ldexp((model.predicted(size, octave) + strayed).astype(np.float64), octave)
 
@@ -113,4 +108,4 @@ def _of_partner(model: BoneModel, strayed: np.ndarray, b: int) -> np.ndarray | i
 
 
 def _frequencies(model: BoneModel, b: int, octave: int, tail: np.ndarray) -> Int[np.ndarray, "3 symbols"]:
-    return tail[tail_rows_of(model.spread[b] - 16 * octave)].astype(np.int64) + 1
+    return tail_frequencies(tail, tail_rows_of(model.spread[b] - 16 * octave))

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...errors import JaxmocapError
-from .attempt import POWER, Attempt, Source, index_of, plain_index
+from .attempt import Attempt, Source, index_of, plain_index, step_of_mean
 from .corrections import correction_bytes
 from .mending import mended
 from .payload import Coded
@@ -25,7 +25,7 @@ def encode_to_max(source: Source, cm: float) -> tuple[int, Coded]:
     def typical(index: int) -> float:
         return float(np.quantile(Attempt(source, index).optimiser.errors().max(0), _TYPICAL))
 
-    index = plain_index(index_of((cm / _BY_MEAN / 0.59) ** (1 / POWER)), cm, typical)
+    index = plain_index(index_of(step_of_mean(cm / _BY_MEAN)), cm, typical)
     best = None
     for finer in (*range(index, 0, -_FINER), 0):
         attempt = Attempt(source, finer)

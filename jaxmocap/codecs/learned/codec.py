@@ -18,7 +18,7 @@ from ...features.recovery import freed, recover
 from ...kinematics import pose
 from ...motion import Motion
 from ...skeleton import Skeleton
-from ..artifact import Artifact, find_artifact, parse_artifact
+from ..artifact import Artifact, stream_artifact
 from ..base import AbstractCodec, Target, frame_range
 from ..container import DIGEST_BYTES, Header, Stream, read_stream, write_stream
 from ..quantise import step_cm
@@ -75,7 +75,7 @@ class Learned(AbstractCodec):
             raise JaxmocapError(f"the motion has no frames, or values that are not finite numbers below {_LARGEST:g}")
         motion = _codable(motion)
         target = self.target or Target.default(motion)
-        model = _model(self.artifact)
+        model = model_of(self.artifact)
         aim = target
         while True:
             data = self._encode(motion, model, aim)
@@ -116,8 +116,8 @@ class Learned(AbstractCodec):
 def decode(stream: Stream, at_hand: Artifact | None, frames: slice | None = None) -> Motion:
     """The motion of a stream, or some of its frames; `at_hand` is a model that may be the one it needs."""
     header = stream.header
-    flags, metric = _params(header)
-    model = _model(_artifact(header, at_hand))
+    flags, metric = params_of(header)
+    model = model_of(stream_artifact(header.model, header.digest, at_hand))
     unit_cm = model.rig.unit_cm if header.unit_cm is None else header.unit_cm or None
     setting = read_setting(header.skeleton, flags, model, metric)
     scale = unit_cm or (1.0 if flags & OWN_BASIS else model.rig.unit_cm)
@@ -169,7 +169,7 @@ def _upright(skeleton: Skeleton) -> np.ndarray:
     return np.tile(np.eye(3), (skeleton.joint_count, 1, 1))
 
 
-def _params(header: Header) -> tuple[int, Metric]:
+def params_of(header: Header) -> tuple[int, Metric]:
     """Flags of the setting, and the metric of a stream."""
     if header.codec != NUMBER or len(header.params) != 1 or header.params[0] & ~(1 << 7 | KNOWN_FLAGS):
         raise CorruptStream(f"this is no learned stream: codec {header.codec}, settings {header.params.hex()}")
@@ -178,12 +178,6 @@ def _params(header: Header) -> tuple[int, Metric]:
     return header.params[0] & KNOWN_FLAGS, METRICS[header.params[0] >> 7]
 
 
-def _artifact(header: Header, at_hand: Artifact | None) -> Artifact:
-    if header.model is not None:
-        return parse_artifact(header.model, "the stream's model")
-    return find_artifact(header.digest, at_hand)
-
-
 @functools.lru_cache(maxsize=8)
-def _model(artifact: Artifact) -> LearnedModel:
+def model_of(artifact: Artifact) -> LearnedModel:
     return LearnedModel.load(artifact)

@@ -18,6 +18,7 @@ from .golomb import read_signed, write_signed
 from .spectrum import Spectrum
 
 _COUNT_ORDER = 2
+_TYPICAL_ROWS = 1 << 10  # of the lowest band, where counts are guessed
 _LIKELY = -32  # components expected to reach a quarter of a step are expected to be there at all
 
 
@@ -82,7 +83,7 @@ def decode_levels(
 ) -> Levels:
     """Raises CorruptStream where no encoder wrote such bytes."""
     rows = band_rows(frames, octaves)
-    counts = _read_counts(decoder, rows, spectrum, step_index)
+    counts = _read_counts(decoder, len(rows), spectrum, step_index)
     levels = [np.zeros((n, spectrum.components), np.int64) for n in rows]
     for band, count, contexts in zip(levels, counts, band_contexts(levels, spectrum, step_index, counts), strict=True):
         n = contexts.neighbours
@@ -105,10 +106,7 @@ def _encode_group(encoder: Encoder, levels: np.ndarray, outputs: np.ndarray, den
     encoder.encode_each(np.minimum(size, 3), stop_frequencies(outputs, densities.logistic))
     beyond = size >= 3
     if beyond.any():
-        symbol, raw, count = integers.split(size[beyond] - 3)
-        encoder.encode_each(symbol, densities.tail[tail_rows(outputs[beyond])].astype(np.int64) + 1)
-        for value, n in zip(raw.tolist(), count.tolist(), strict=True):
-            encoder.encode_bits(value, n)
+        encode_sizes(encoder, size[beyond] - 3, tail_frequencies(densities.tail, tail_rows(outputs[beyond])))
     encode_signs(encoder, levels[size > 0])
 
 
@@ -116,9 +114,26 @@ def _decode_group(decoder: Decoder, outputs: np.ndarray, densities: Densities) -
     size = decoder.decode_each(stop_frequencies(outputs, densities.logistic))
     beyond = np.flatnonzero(size == 3)
     if len(beyond):
-        symbols = decoder.decode_each(densities.tail[tail_rows(outputs[beyond])].astype(np.int64) + 1)
-        size[beyond] = [3 + integers.join(s, decoder.decode_bits(integers.raw_bits(s))) for s in symbols.tolist()]
+        size[beyond] = 3 + decode_sizes(decoder, tail_frequencies(densities.tail, tail_rows(outputs[beyond])))
     return decode_signs(decoder, size)
+
+
+def tail_frequencies(tail: np.ndarray, rows: Int[np.ndarray, " places"]) -> Int[np.ndarray, "places symbols"]:
+    """Of the symbols of sizes under the geometric laws of these rows of the tail's table."""
+    return tail[rows].astype(np.int64) + 1
+
+
+def encode_sizes(encoder: Encoder, sizes: Int[np.ndarray, " places"], frequencies: Int[np.ndarray, "places symbols"]) -> None:
+    """Integers of 0 and more: all symbols, then all raw bits."""
+    symbol, raw, count = integers.split(sizes)
+    encoder.encode_each(symbol, frequencies)
+    for value, n in zip(raw.tolist(), count.tolist(), strict=True):
+        encoder.encode_bits(value, n)
+
+
+def decode_sizes(decoder: Decoder, frequencies: Int[np.ndarray, "places symbols"]) -> Int[np.ndarray, " places"]:
+    symbols = decoder.decode_each(frequencies).tolist()
+    return np.array([integers.join(s, decoder.decode_bits(integers.raw_bits(s))) for s in symbols], np.int64)
 
 
 def encode_signs(encoder: Encoder, nonzeros: Int[np.ndarray, " nonzeros"]) -> None:
@@ -137,9 +152,9 @@ def _even(count: int) -> np.ndarray:
     return np.full((count, 2), 1 << 15, np.int64)
 
 
-def _expected_counts(rows: list[int], spectrum: Spectrum, step_index: int) -> Iterator[int]:
-    priors = [spectrum.slow_prior(rows[0], step_index)]
-    priors += [spectrum.fast_prior(1, octave, step_index) for octave in range(len(rows) - 1)]
+def _expected_counts(band_count: int, spectrum: Spectrum, step_index: int) -> Iterator[int]:
+    priors = [spectrum.slow_prior(_TYPICAL_ROWS, step_index)]
+    priors += [spectrum.fast_prior(1, octave, step_index) for octave in range(band_count - 1)]
     for prior in priors:
         likely = np.flatnonzero((prior > _LIKELY).any(0))
         yield int(likely[-1]) + 1 if len(likely) else PATH
@@ -147,18 +162,17 @@ def _expected_counts(rows: list[int], spectrum: Spectrum, step_index: int) -> It
 
 def _write_counts(encoder: Encoder, counts: list[int], spectrum: Spectrum, step_index: int) -> None:
     previous = spectrum.components
-    rows = [1 << 10] * len(counts)
-    for count, likely in zip(counts, _expected_counts(rows, spectrum, step_index), strict=True):
+    for count, likely in zip(counts, _expected_counts(len(counts), spectrum, step_index), strict=True):
         if previous == 0:
             return
         write_signed(encoder, count - min(likely, previous), _COUNT_ORDER)
         previous = count
 
 
-def _read_counts(decoder: Decoder, rows: list[int], spectrum: Spectrum, step_index: int) -> list[int]:
+def _read_counts(decoder: Decoder, band_count: int, spectrum: Spectrum, step_index: int) -> list[int]:
     counts: list[int] = []
     previous = spectrum.components
-    for likely in _expected_counts([1 << 10] * len(rows), spectrum, step_index):
+    for likely in _expected_counts(band_count, spectrum, step_index):
         count = read_signed(decoder, _COUNT_ORDER) + min(likely, previous) if previous else 0
         if not 0 <= count <= previous:
             raise CorruptStream(f"a band has {count} components, where {previous} are the most")

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from ..artifact import Artifact
+from ..artifact import Artifact, stream_artifact
 from ..container import Stream
 from ..quantise import step_cm
 from . import bands
-from .codec import _artifact, _model, _params
+from .codec import model_of, params_of
 from .payload import read_payload
 from .setting import HAS_CONSTANTS, OWN_BASIS, join_sections, read_setting
 
@@ -17,8 +17,8 @@ def describe(stream: Stream, at_hand: Artifact | None) -> dict[str, object]:
     Raises ModelMismatch, CorruptStream or TruncatedStream.
     """
     header = stream.header
-    flags, metric = _params(header)
-    model = _model(_artifact(header, at_hand))
+    flags, metric = params_of(header)
+    model = model_of(stream_artifact(header.model, header.digest, at_hand))
     setting = read_setting(header.skeleton, flags, model, metric)
     octaves = bands.octave_count(model.rig.frame_time if header.frame_time is None else header.frame_time)
     steps, jumps, nonzeros, corrections = [], 0, 0, 0

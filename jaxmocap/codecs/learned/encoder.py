@@ -7,24 +7,24 @@ import math
 from ...errors import JaxmocapError
 from ..base import Target
 from ..quantise import STEPS, step_index
-from .attempt import POWER, Attempt, Source, index_of, plain_index, steps_apart
+from .attempt import Attempt, Source, index_of, mean_of_step, plain_index, step_of_mean, steps_apart
 from .bounded import encode_to_max
 from .payload import Coded
 
 
 def typical_mean(target: Target) -> float:
     """About the mean error that a stream for the target has, in cm."""
-    return {"mean": target.cm, "max": target.cm / 4, "step": 0.59 * target.cm**POWER}[target.kind]
+    return {"mean": target.cm, "max": target.cm / 4, "step": mean_of_step(target.cm)}[target.kind]
 
 
 def rough_bytes(source: Source, mean_cm: float) -> float:
     """About what the levels will take for a mean error."""
-    return Attempt(source, index_of((mean_cm / 0.59) ** (1 / POWER))).bits() / 8
+    return Attempt(source, index_of(step_of_mean(mean_cm))).bits() / 8
 
 
 def encode_to_mean(source: Source, mean_cm: float) -> tuple[int, Coded]:
     """Step index and levels of a mean error of at most `mean_cm`. Raises JaxmocapError where no step is fine enough."""
-    start = index_of((mean_cm / 0.59) ** (1 / POWER))
+    start = index_of(step_of_mean(mean_cm))
     index = plain_index(start, mean_cm, lambda n: Attempt(source, n).mean_error)
     best, too_coarse = None, STEPS
     while 0 <= index < too_coarse:

@@ -12,9 +12,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ...errors import CorruptStream
-from ..entropy import integers
 from ..entropy.range_coder import Decoder, Encoder
-from .coefficients import Densities, decode_signs, encode_signs
+from .coefficients import Densities, decode_signs, decode_sizes, encode_signs, encode_sizes, tail_frequencies
 from .density import tail_rows_of
 from .golomb import read_unsigned, write_unsigned
 from .spectrum import Spectrum, level_of_step
@@ -61,10 +60,7 @@ def encode_jumps(encoder: Encoder, jumps: Jumps, spectrum: Spectrum, step_index:
     before = 0
     for frame, levels in zip(jumps.frames.tolist(), jumps.levels, strict=True):
         write_unsigned(encoder, frame - before - 1, _GAP_ORDER if before else 0)
-        symbol, raw, count = integers.split(np.abs(levels))
-        encoder.encode_each(symbol, _frequencies(spectrum, step_index, densities))
-        for value, bits in zip(raw.tolist(), count.tolist(), strict=True):
-            encoder.encode_bits(value, bits)
+        encode_sizes(encoder, np.abs(levels), _frequencies(spectrum, step_index, densities))
         encode_signs(encoder, levels[levels != 0])
         before = frame
 
@@ -79,8 +75,7 @@ def decode_jumps(decoder: Decoder, frames: int, spectrum: Spectrum, step_index: 
         before += 1 + read_unsigned(decoder, _GAP_ORDER if before else 0)
         if before >= frames:
             raise CorruptStream(f"a jump at frame {before} of {frames}")
-        symbols = decoder.decode_each(_frequencies(spectrum, step_index, densities))
-        size = np.array([integers.join(s, decoder.decode_bits(integers.raw_bits(s))) for s in symbols.tolist()], np.int64)
+        size = decode_sizes(decoder, _frequencies(spectrum, step_index, densities))
         rows.append(decode_signs(decoder, size))
         at.append(before)
     return Jumps(np.array(at, np.int64), np.array(rows, np.int64).reshape(len(at), spectrum.components))
@@ -89,4 +84,4 @@ def decode_jumps(decoder: Decoder, frames: int, spectrum: Spectrum, step_index: 
 def _frequencies(spectrum: Spectrum, step_index: int, densities: Densities) -> Int[np.ndarray, "components symbols"]:
     """Of a component's sizes: geometric, as far as its constant differs from clip to clip."""
     reach = spectrum.slow[0].astype(np.int64) - level_of_step(step_index)
-    return densities.tail[tail_rows_of(reach)].astype(np.int64) + 1
+    return tail_frequencies(densities.tail, tail_rows_of(reach))

@@ -18,7 +18,7 @@ from ..entropy import integers
 from ..entropy.range_coder import Decoder, Encoder, RangeDecoder, RangeEncoder
 from ..quantise import step_cm
 from .basis import Basis
-from .coefficients import decode_signs, encode_signs
+from .coefficients import decode_signs, decode_sizes, encode_signs, encode_sizes
 from .contexts import OCTAVE, PATH, magnitude
 from .density import tail_rows_of
 from .distortion import Metric
@@ -175,14 +175,12 @@ class _History:
 
 def _write_row(encoder: Encoder, row: Int[np.ndarray, " size"], history: _History, tail: np.ndarray) -> None:
     """A row is expected as the history has it, but for a factor of its own."""
-    symbol, raw, count = integers.split(np.abs(row))
+    symbol, _, _ = integers.split(np.abs(row))
     reach = history.reach()
     costs = {s: _cost(symbol, reach, s, tail) + 3 * abs(s - history.shift) / 2 for s in range(-_MOST_SHIFT, _MOST_SHIFT + 1)}
     shift = min(costs, key=costs.__getitem__)
     write_signed(encoder, shift - history.shift, _SHIFT_ORDER)
-    encoder.encode_each(symbol, _frequencies(reach, shift, tail))
-    for value, bits in zip(raw.tolist(), count.tolist(), strict=True):
-        encoder.encode_bits(value, bits)
+    encode_sizes(encoder, np.abs(row), _frequencies(reach, shift, tail))
     encode_signs(encoder, row[row != 0])
     history.add(np.abs(row), shift)
 
@@ -191,8 +189,7 @@ def _read_row(decoder: Decoder, history: _History, tail: np.ndarray) -> Int[np.n
     shift = history.shift + read_signed(decoder, _SHIFT_ORDER)
     if abs(shift) > _MOST_SHIFT:
         raise CorruptStream("a row of the stream's basis is beyond all measure")
-    symbols = decoder.decode_each(_frequencies(history.reach(), shift, tail))
-    sizes = np.array([integers.join(s, decoder.decode_bits(integers.raw_bits(s))) for s in symbols.tolist()], np.int64)
+    sizes = decode_sizes(decoder, _frequencies(history.reach(), shift, tail))
     history.add(sizes.copy(), shift)
     return decode_signs(decoder, sizes)
 

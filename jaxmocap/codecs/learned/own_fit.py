@@ -11,6 +11,7 @@ from ...motion import Motion
 from ...skeleton import Skeleton
 from ..quantise import PER_OCTAVE, STEPS, step_cm
 from . import bands
+from .attempt import step_of_mean
 from .basis import Basis, direction_of
 from .contexts import OCTAVE, PATH
 from .distortion import Distortion, Metric
@@ -38,7 +39,7 @@ def fit_own(
     """
     some = motion.values[:: max(-(-motion.frame_count // _MOST_FRAMES), 1)]
     some = Motion(motion.skeleton, some, motion.frame_time, motion.unit_cm)
-    step = (mean_cm / 0.59) ** (1 / 0.73)
+    step = step_of_mean(mean_cm)
     while True:
         own, basis, error = _fit(some, skeleton, scale, metric, model, step)
         if error <= _MOST_ERROR * mean_cm or not own.fineness:
