@@ -31,7 +31,7 @@ MANY_CHUNKS: dict[str, dict] = {"lsdt-clip": {"clip_frames": 60}, "learned": {}}
 LONG = {"lsdt-clip": 540, "learned": 16500}
 VARIANTS: dict[str, list[dict]] = {
     "lsdt-clip": [{"form": "runs"}, {"form": "paper"}],
-    "learned": [{"metric": "joints"}, {"metric": "shell"}],
+    "learned": [{"metric": "joints"}, {"metric": "shell"}, {"metric": "joints", "qualities": 3}],
 }
 COUNTS = {"lsdt-clip": (1, 2, 239, 240, 241, 961), "learned": (1, 2, 3, 15, 16, 17, 240)}
 FRAMES = 540
@@ -39,7 +39,7 @@ FINE_STEP = {"lsdt-clip": 1.0, "learned": 0.5}  # cm: leaves less than half a ce
 
 codecs = pytest.mark.parametrize("name", CODECS)
 variants = pytest.mark.parametrize(
-    "settings_", [{"codec": name, **v} for name in CODECS for v in VARIANTS[name]], ids=lambda s: "-".join(s.values())
+    "settings_", [{"codec": name, **v} for name in CODECS for v in VARIANTS[name]], ids=lambda s: "-".join(map(str, s.values()))
 )
 _encoded: dict[str, bytes] = {}
 

@@ -80,6 +80,20 @@ def test_metric_says_what_the_error_is_of(files: Path, capsys: pytest.CaptureFix
     assert report(capsys, *arguments, "--codec", "lsdt-clip")["metric"] == "joints"
 
 
+def test_a_beginning_of_a_progressive_stream_decodes(files: Path, capsys: pytest.CaptureFixture[str]):
+    source, stream, front = files / "walk.bvh", files / "progressive.jmc", files / "front.jmc"
+    made = report(capsys, "encode", source, "-o", stream, *UNIT, "--mean-error", 0.5, "--qualities", 2)
+    assert report(capsys, "info", stream)["qualities"] == 2
+    front.write_bytes(stream.read_bytes()[: int(0.9 * made["stream_bytes"])])
+    assert "byte" in refusal(capsys, "decode", front, "-o", files / "front.bvh")
+    report(capsys, "decode", front, "-o", files / "front.bvh", "--quality", 1)
+    coarse = report(capsys, "compare", source, files / "front.bvh", *UNIT)
+    assert 0.5 < coarse["shell_mean_cm"] <= 1.0
+    assert "qualities 1 to 2" in refusal(capsys, "decode", stream, "-o", files / "front.bvh", "--quality", 3)
+    refused = refusal(capsys, "encode", source, "-o", stream, "--codec", "lsdt-clip", "--qualities", 2)
+    assert "--qualities is for codecs that take it" in refused
+
+
 def test_without_a_unit_errors_are_in_file_units(files: Path, capsys: pytest.CaptureFixture[str]):
     made = report(capsys, "encode", files / "walk.bvh", "-o", files / "u.jmc", "--mean-error", 0.1)
     assert made["unit"] == "file units" and 0.08 < made["shell_mean_cm"] <= 0.1

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxmocap.codecs.bitstream import varint
-from jaxmocap.codecs.container import MAGIC, Header, read_stream, write_stream
-from jaxmocap.errors import CorruptStream, TruncatedStream, UnsupportedVersion
+from jaxmocap.codecs.container import MAGIC, Header, Stream, read_stream, write_stream
+from jaxmocap.errors import CorruptStream, JaxmocapError, TruncatedStream, UnsupportedVersion
 
 REFUSED = (CorruptStream, TruncatedStream, UnsupportedVersion)
 _numbers = st.floats(1.1e-9, 0.9e9)
@@ -31,8 +31,9 @@ def streams(draw) -> tuple[Header, list[bytes]]:
         model=model,
         frame_time=draw(st.none() | _numbers),
         unit_cm=draw(st.none() | st.just(0.0) | _numbers),
+        layers=draw(st.sampled_from([1, 1, 2, 3, 16])),
     )
-    return header, [draw(st.binary(max_size=200)) for _ in range(header.chunk_count)]
+    return header, [draw(st.binary(max_size=200)) for _ in range(header.chunk_count * header.layers)]
 
 
 @given(streams())
@@ -42,7 +43,7 @@ def test_round_trip(stream):
     assert data.startswith(MAGIC)
     read = read_stream(data)
     assert read.header == header
-    assert [read.chunk(n) for n in range(header.chunk_count)] == chunks
+    assert all_chunks(read) == chunks
     sections = read.section_bytes()
     assert sum(sections.values()) == len(data)
     assert sections["skeleton"] == len(header.skeleton)
@@ -64,8 +65,11 @@ def test_every_prefix_and_every_flipped_bit_is_refused(stream):
 
 
 def read_all(data: bytes) -> list[bytes]:
-    stream = read_stream(data)
-    return [stream.chunk(n) for n in range(stream.header.chunk_count)]
+    return all_chunks(read_stream(data))
+
+
+def all_chunks(stream: Stream) -> list[bytes]:
+    return [stream.chunk(n, layer) for layer in range(stream.layers) for n in range(stream.header.chunk_count)]
 
 
 SMALL = Header(codec=1, params=b"ab", frames=900, chunk_frames=300, skeleton=b"bones", digest=b"1234")
@@ -94,7 +98,27 @@ def test_newer_version_asks_to_upgrade():
         read_stream(DATA[:3] + b"\x00" + DATA[4:])
 
 
-@pytest.mark.parametrize("flags", [3, 32, 64, 128])
+@given(streams())
+def test_layers_are_read_without_those_that_follow(stream):
+    header, chunks = stream
+    data = write_stream(header, chunks)
+    front = len(data) - sum(len(c) + 4 for c in chunks)
+    for layers in range(1, header.layers + 1):
+        first = chunks[: header.chunk_count * layers]
+        prefix = data[: front + sum(len(c) + 4 for c in first)]
+        assert all_chunks(read_stream(prefix, layers)) == first == all_chunks(read_stream(data, layers))
+        with pytest.raises(TruncatedStream):
+            read_stream(prefix[:-1], layers)
+
+
+@pytest.mark.parametrize("layers", [0, 3, 99])
+def test_layers_that_a_stream_has_not_are_refused(layers):
+    data = write_stream(dataclasses.replace(SMALL, chunk_frames=900, layers=2), [b"coarse", b"fine"])
+    with pytest.raises(JaxmocapError, match="qualities 1 to 2"):
+        read_stream(data, layers)
+
+
+@pytest.mark.parametrize("flags", [3, 64, 128])
 def test_reserved_flags_ask_to_upgrade(flags):
     with pytest.raises(UnsupportedVersion, match="upgrade"):
         read_stream(DATA[:5] + bytes([flags]) + DATA[6:])

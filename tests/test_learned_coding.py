@@ -31,7 +31,7 @@ from jaxmocap.codecs.learned.density import FrozenDensity, stop_frequencies
 from jaxmocap.codecs.learned.golomb import read_signed, read_unsigned, write_signed, write_unsigned
 from jaxmocap.codecs.learned.jumps import Jumps, decode_jumps, encode_jumps, find_jumps
 from jaxmocap.codecs.learned.model import LearnedModel
-from jaxmocap.codecs.quantise import STEPS
+from jaxmocap.codecs.learned.steps import STEPS, index_of
 from jaxmocap.codecs.rig import bones_of
 from jaxmocap.errors import CorruptStream
 from jaxmocap.motion import Motion
@@ -43,6 +43,7 @@ TAIL = DENSITIES.tail
 COMPONENTS = SPECTRUM.components
 MOST = integers.LIMIT + 2  # the largest level: what lies beyond 3 has a symbol below the limit
 MOST_CONTEXT = 16 * 24
+ONE_CM = index_of(1.0)
 
 
 def random_levels(frames: int, octaves: int, seed: int, size: float = 3.0) -> Levels:
@@ -145,8 +146,8 @@ SIZES = st.sampled_from([0.0, 0.5, 3.0, 200.0])
 @given(st.integers(1, 48), st.integers(0, 5), st.integers(0, STEPS - 1), st.integers(0, 99), SIZES)
 @example(1, 0, 0, 0, 3.0)
 @example(1, 7, 255, 0, 200.0)
-@example(2, 4, 112, 0, 0.0)
-@example(3, 7, 112, 1, 3.0)
+@example(2, 4, ONE_CM, 0, 0.0)
+@example(3, 7, ONE_CM, 1, 3.0)
 def test_levels_return(frames: int, octaves: int, step_index: int, seed: int, size: float):
     assert_levels_return(random_levels(frames, octaves, seed, size), frames, step_index)
 
@@ -168,16 +169,16 @@ def test_plain_integers_code_the_same_bytes(frames: int):
     """Where constriction has no wheel."""
     levels = random_levels(frames, 4, frames)
     levels[0][0, 0] = MOST
-    data = coded(levels, 112)
-    assert coded(levels, 112, PythonEncoder) == data
+    data = coded(levels, ONE_CM)
+    assert coded(levels, ONE_CM, PythonEncoder) == data
     for decoder in (PythonDecoder(data), RangeDecoder(data)):
-        for a, b in zip(decode_levels(decoder, frames, 4, SPECTRUM, 112, DENSITIES), levels, strict=True):
+        for a, b in zip(decode_levels(decoder, frames, 4, SPECTRUM, ONE_CM, DENSITIES), levels, strict=True):
             np.testing.assert_array_equal(a, b)
 
 
 def test_lengths_are_about_what_they_are_thought_to_be():
     levels = random_levels(200, 4, 5)
-    assert 8 * len(coded(levels, 112)) == pytest.approx(level_bits(levels, SPECTRUM, 112, DENSITIES), rel=0.03)
+    assert 8 * len(coded(levels, ONE_CM)) == pytest.approx(level_bits(levels, SPECTRUM, ONE_CM, DENSITIES), rel=0.03)
 
 
 def test_bytes_that_nobody_wrote_are_levels_or_refused():

@@ -19,7 +19,6 @@ from jaxmocap.codecs.learned.own_fit import fit_own
 from jaxmocap.codecs.learned.payload import read_payload, write_payload
 from jaxmocap.codecs.learned.pose_vectors import PoseVectors
 from jaxmocap.codecs.learned.virtual_work import posed
-from jaxmocap.codecs.quantise import step_cm
 from jaxmocap.errors import CorruptStream
 from jaxmocap.formats import read_motion
 from jaxmocap.kinematics import pose
@@ -87,11 +86,11 @@ def test_what_is_read_is_what_was_written_and_decodes_to_the_target(name: str, m
     for field in ("levels", "rows", "means"):
         np.testing.assert_array_equal(getattr(read, field), getattr(own, field))
     source = source_of(motion, own, basis, metric)
-    index, coded = encode_to(source, Target("mean", 1.0))
-    data = write_payload(coded, index, basis, MODEL.densities)
+    coded = encode_to(source, Target("mean", 1.0))
+    data = write_payload(coded, (), basis, MODEL.densities)
     decoding = read.basis(skeleton, MODEL, metric)
-    index, coded = read_payload(data, motion.frame_count, source.octaves, decoding, MODEL.densities)
-    y = coded.coefficients(step_cm(index)).astype(np.float32)
+    coded = read_payload(data, (), motion.frame_count, source.octaves, decoding, MODEL.densities)
+    y = coded.coefficients().astype(np.float32)
     figure = PoseVectors(skeleton, read.mean_pose(skeleton))
     decoded = points_of(figure, metric, *decoding.vectors(y, coded.direction))
     wanted = points_of(figure, metric, source.path, source.body)
@@ -170,6 +169,6 @@ def test_a_basis_without_components_is_whole():
 def test_martial_arts_of_another_rig_are_small(data_dir):
     motion = read_motion(data_dir / "cmu_daz" / "martial" / "04.bvh", 1.0)
     own, basis = fitted(motion, "joints")
-    index, coded = encode_to(source_of(motion, own, basis, "joints"), Target("mean", 1.0))
-    levels = write_payload(coded, index, basis, MODEL.densities)
+    coded = encode_to(source_of(motion, own, basis, "joints"), Target("mean", 1.0))
+    levels = write_payload(coded, (), basis, MODEL.densities)
     assert len(write_own(own, TAIL)) + len(levels) < 1050  # quantise, delta, xz: 3387, SZ3: 4704, without a skeleton

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from ..codecs import Target, make
-from ..codecs.artifact import Artifact
+from ..codecs.artifact import Artifact, load_artifact, make_artifact
 from ..errors import JaxmocapError
 from ..kinematics import positions_cm
 from ..metrics import compare
@@ -32,6 +32,7 @@ _MEANS, _LARGEST = ("mean_cm", "shell_mean_cm"), ("max_cm", "shell_max_cm")
 def methods() -> tuple[dict[str, Method], dict[str, str]]:
     """All columns of the table, and the package that is missing for those that are not among them."""
     made, missing = {name: by_codec(config) for name, config in COLUMNS.items()}, {}
+    made["learned, person not named"] = by_codec(LEARNED, nameless(load_artifact("learned")))
     for name, peer in PEERS.items():
         try:
             coder = peer()
@@ -52,6 +53,12 @@ def by_codec(config: Config, artifact: Artifact | None = None) -> Method:
         return len(data), compare(motion, codec.decode(data))
 
     return code
+
+
+def nameless(artifact: Artifact) -> Artifact:
+    """The model of `learned` without the people of its corpus: of these, too, bones are then written, and not named."""
+    people = artifact.tensors["bones.people"]
+    return make_artifact(artifact.spec, {**artifact.tensors, "bones.people": people[:0]})
 
 
 def by_positions(coder: ArrayCoder, everies: Sequence[int]) -> Method:

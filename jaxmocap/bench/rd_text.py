@@ -87,13 +87,15 @@ def _bounds(found: dict) -> list[str]:
 
 
 def _people(found: list[dict]) -> list[str]:
-    lines = ["ratios by the shipped model and by one that has not seen the person, and how many bytes that is more:"]
+    lines = [
+        "ratios by the shipped model where it may name the person, where it may not, and by a model that has never seen the",
+        "person; and how many bytes more the last takes than the second:",
+    ]
     for one in found:
         lines += [f"  {one['subject']} ({' '.join(one['clips'])}, learned from {one['files']} files):"]
-        lines += [
-            f"    {row['target_cm']:g} cm: {row['known']['ratio']:7.1f} {row['stranger']['ratio']:7.1f} {row['cost']:+7.1%}"
-            for row in one["rows"]
-        ]
+        for row in one["rows"]:
+            ratios = " ".join(f"{row[name]['ratio']:7.1f}" for name in ("named", "known", "stranger"))
+            lines += [f"    {row['target_cm']:g} cm: {ratios} {row['cost']:+7.1%}"]
     return lines
 
 

@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from ..codecs.artifact import Artifact
+from ..codecs import Target
+from ..codecs.artifact import Artifact, load_artifact
 from ..formats import read_motion
 from ..motion import Motion
 from ..training import TRAINERS
@@ -31,20 +32,17 @@ def person_left_out(
 ) -> dict:
     """The clips of a subject by a model that has never seen it, and by the shipped one; `cost` is what that takes more.
 
-    The names of files and clips begin with the subject.
+    Both write the bones; `named` is the shipped model that may say whose they are. The names of files and clips begin
+    with the subject.
     """
     others = replace(corpus, files=tuple(f for f in corpus.files if not f.stem.startswith(f"{subject}_")))
     theirs = {name: motion for name, motion in motions.items() if name.startswith(f"{subject}_")}
-    stranger = trained(str(config["codec"]), others)
-    rows = [
-        {"target_cm": cm, "known": known, "stranger": strange, "cost": strange["bytes"] / known["bytes"] - 1}
-        for cm, known, strange in zip(
-            targets_cm,
-            rd.curve(theirs, rd.by_codec(config), targets_cm),
-            rd.curve(theirs, rd.by_codec(config, stranger), targets_cm),
-            strict=True,
-        )
-    ]
+    shipped, stranger = load_artifact(str(config["codec"])), trained(str(config["codec"]), others)
+    models = {"named": shipped, "known": rd.nameless(shipped), "stranger": stranger}
+    rows = []
+    for cm in targets_cm:
+        found = {name: rd.pooled(theirs, rd.by_codec(config, model), Target("mean", cm)) for name, model in models.items()}
+        rows.append({"target_cm": cm, **found, "cost": found["stranger"]["bytes"] / found["known"]["bytes"] - 1})
     return {"subject": subject, "files": len(others.files), "clips": list(theirs), "rows": rows}
 
 

@@ -42,13 +42,14 @@ def make(config: dict, artifact: Artifact | None = None) -> AbstractCodec:
         raise ValueError(f"{name} does not take these settings: {error}") from error
 
 
-def decode(data: bytes, artifact: Artifact | None = None, frames: slice | None = None) -> Motion:
+def decode(data: bytes, artifact: Artifact | None = None, frames: slice | None = None, quality: int | None = None) -> Motion:
     """The motion of any stream, or some of its frames, for which only the chunks that hold them are read.
 
-    `artifact` is a model that the stream may need; shipped and embedded ones are found. Raises CorruptStream,
+    `artifact` is a model that the stream may need; shipped and embedded ones are found. With `quality`, from 1 on, a
+    progressive stream, or as much as there is of it, decodes as it is after so many layers. Raises CorruptStream,
     TruncatedStream, UnsupportedVersion or ModelMismatch, and ValueError for frames that are none.
     """
-    stream = read_stream(data)
+    stream = read_stream(data, quality)
     _, decode_stream = _entry(stream.header)
     return decode_stream(stream, artifact, frames)
 

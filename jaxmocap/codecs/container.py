@@ -21,8 +21,9 @@ SUFFIX = ".jmc"
 DIGEST_BYTES = 4
 
 _UNIT_OF_MODEL, _UNIT_UNKNOWN, _UNIT_STATED = 0, 1, 2
-_FRAME_TIME_STATED, _MODEL_EMBEDDED, _MANY_CHUNKS = 4, 8, 16
-_KNOWN_FLAGS = 3 | _FRAME_TIME_STATED | _MODEL_EMBEDDED | _MANY_CHUNKS
+_FRAME_TIME_STATED, _MODEL_EMBEDDED, _MANY_CHUNKS, _MANY_LAYERS = 4, 8, 16, 32
+_KNOWN_FLAGS = 3 | _FRAME_TIME_STATED | _MODEL_EMBEDDED | _MANY_CHUNKS | _MANY_LAYERS
+_MOST_LAYERS = 16
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,7 @@ class Header:
     `codec` is the number of the codec (0..31), `params` its settings (0..7 bytes). `digest` is the start of the SHA-256
     of the model that the decoder needs, unless that model is embedded. `frame_time` (s) and `unit_cm` are None where the
     model's own hold; a `unit_cm` of 0 says that nobody knows the unit. A chunk holds `chunk_frames` frames, the last the rest.
+    With `layers` all chunks are there so many times: first as coarse as can be, then what makes them finer.
     """
 
     codec: int
@@ -43,9 +45,11 @@ class Header:
     model: bytes | None = None
     frame_time: float | None = None
     unit_cm: float | None = None
+    layers: int = 1
 
     @property
     def chunk_count(self) -> int:
+        """Of one layer."""
         return -(-self.frames // self.chunk_frames)
 
 
@@ -58,9 +62,14 @@ class Stream:
     header_crc: int
     spans: tuple[tuple[int, int], ...]
 
-    def chunk(self, index: int) -> bytes:
+    @property
+    def layers(self) -> int:
+        """How many layers are here."""
+        return len(self.spans) // self.header.chunk_count
+
+    def chunk(self, index: int, layer: int = 0) -> bytes:
         """The coded motion of one chunk; raises CorruptStream where its checksum, or the header's, does not hold."""
-        start, stop = self.spans[index]
+        start, stop = self.spans[layer * self.header.chunk_count + index]
         payload = self.data[start:stop]
         (stored,) = struct.unpack("<I", self.data[stop : stop + 4])
         if zlib.crc32(payload, self.header_crc) != stored:
@@ -78,32 +87,36 @@ class Stream:
 
 def write_stream(header: Header, chunks: list[bytes]) -> bytes:
     """The bytes of a stream. Raises ValueError where the chunks do not fit the header."""
-    if len(chunks) != header.chunk_count or header.frames < 1:
-        raise ValueError(f"{len(chunks)} chunks for {header.frames} frames in chunks of {header.chunk_frames}")
-    many = len(chunks) > 1
+    if len(chunks) != header.chunk_count * header.layers or not 1 <= header.layers <= _MOST_LAYERS or header.frames < 1:
+        raise ValueError(
+            f"{len(chunks)} chunks for {header.frames} frames in chunks of {header.chunk_frames} and {header.layers} layers"
+        )
+    many = header.chunk_count > 1
     unit = _UNIT_OF_MODEL if header.unit_cm is None else _UNIT_UNKNOWN if header.unit_cm == 0 else _UNIT_STATED
     flags = unit | _FRAME_TIME_STATED * (header.frame_time is not None) | _MANY_CHUNKS * many
-    flags |= _MODEL_EMBEDDED * (header.model is not None)
+    flags |= _MODEL_EMBEDDED * (header.model is not None) | _MANY_LAYERS * (header.layers > 1)
     out = bytearray(MAGIC)
     out += bytes([VERSION, header.codec | len(header.params) << 5, flags]) + header.params
     out += b"" if header.model is not None else header.digest
     out += varint(header.frames)
     out += varint(header.chunk_frames) if many else b""
+    out += varint(header.layers) if header.layers > 1 else b""
     out += struct.pack("<d", header.frame_time) if header.frame_time is not None else b""
     out += struct.pack("<d", header.unit_cm) if unit == _UNIT_STATED else b""
     out += varint(len(header.skeleton)) + header.skeleton
     out += varint(len(header.model)) + header.model if header.model is not None else b""
-    out += b"".join(varint(len(c)) for c in chunks) if many else b""
+    out += b"".join(varint(len(c)) for c in chunks) if len(chunks) > 1 else b""
     header_crc = zlib.crc32(out)
     for payload in chunks:
         out += payload + struct.pack("<I", zlib.crc32(payload, header_crc))
     return bytes(out)
 
 
-def read_stream(data: bytes) -> Stream:
+def read_stream(data: bytes, layers: int | None = None) -> Stream:
     """A stream with all of its lengths checked, and its header verified through the checksum of the first chunk.
 
-    Raises CorruptStream, TruncatedStream or UnsupportedVersion.
+    With `layers` only so many are taken, and what follows them need not be there. Raises CorruptStream,
+    TruncatedStream or UnsupportedVersion, and JaxmocapError where the stream has not so many layers.
     """
     reader = ByteReader(data)
     magic = reader.take(len(MAGIC))
@@ -112,7 +125,7 @@ def read_stream(data: bytes) -> Stream:
     if magic != MAGIC:
         raise CorruptStream("this is no jaxmocap stream: it does not begin with 'JMC'")
     try:
-        stream = _read_checked(reader)
+        stream = _read_checked(reader, layers)
         stream.chunk(0)
     except JaxmocapError:
         if len(data) > 3 and data[3] > VERSION:
@@ -121,7 +134,7 @@ def read_stream(data: bytes) -> Stream:
     return stream
 
 
-def _read_checked(reader: ByteReader) -> Stream:
+def _read_checked(reader: ByteReader, wanted: int | None) -> Stream:
     version = reader.byte()
     if not 1 <= version <= VERSION:
         raise UnsupportedVersion(f"the stream has format {version}, this jaxmocap reads 1 to {VERSION}: upgrade")
@@ -135,25 +148,32 @@ def _read_checked(reader: ByteReader) -> Stream:
     chunk_frames = reader.varint() if flags & _MANY_CHUNKS else frames
     if not 0 < chunk_frames <= frames or (flags & _MANY_CHUNKS and chunk_frames == frames):
         raise CorruptStream(f"the header speaks of {frames} frames in chunks of {chunk_frames}")
+    layers = reader.varint() if flags & _MANY_LAYERS else 1
+    if flags & _MANY_LAYERS and not 2 <= layers <= _MOST_LAYERS:
+        raise CorruptStream(f"the header speaks of {layers} layers, 2 to {_MOST_LAYERS} are possible")
     frame_time = _positive(reader.float64(), "frame time") if flags & _FRAME_TIME_STATED else None
     unit = flags & 3
     unit_cm = None if unit == _UNIT_OF_MODEL else 0.0 if unit == _UNIT_UNKNOWN else _positive(reader.float64(), "unit")
     skeleton = reader.take(reader.varint())
     model = reader.take(reader.varint()) if flags & _MODEL_EMBEDDED else None
-    header = Header(codec & 31, params, frames, chunk_frames, skeleton, digest, model, frame_time, unit_cm)
-    if flags & _MANY_CHUNKS:
-        if header.chunk_count > reader.left:
-            reader.take(header.chunk_count)  # a length a chunk, at least: says how many bytes are missing
-        lengths = [reader.varint() for _ in range(header.chunk_count)]
+    header = Header(codec & 31, params, frames, chunk_frames, skeleton, digest, model, frame_time, unit_cm, layers)
+    count = header.chunk_count * layers
+    if count > 1:
+        if count > reader.left:
+            reader.take(count)  # a length a chunk, at least: says how many bytes are missing
+        lengths = [reader.varint() for _ in range(count)]
     else:
         lengths = [max(reader.left - 4, 0)]  # a single chunk is all the rest
     header_crc = zlib.crc32(reader.data[: reader.at])
+    if wanted is not None and not 1 <= wanted <= layers:
+        raise JaxmocapError(f"the stream has qualities 1 to {layers}, and none of number {wanted}")
+    taken = lengths if wanted is None else lengths[: header.chunk_count * wanted]
     spans = []
-    for length in lengths:
+    for length in taken:
         start = reader.at
         reader.take(length + 4)
         spans.append((start, start + length))
-    if reader.left:
+    if reader.left and len(taken) == len(lengths):
         raise CorruptStream(f"{reader.left} bytes follow the last chunk")
     return Stream(header, reader.data, header_crc, tuple(spans))
 

@@ -288,6 +288,8 @@ def _params(header: Header) -> tuple[str, int, int]:
     clip_frames = (first & 127) * _UNIT_FRAMES
     if clip_frames not in CLIP_FRAMES:
         raise CorruptStream(f"the stream has clips of {clip_frames} frames, known are {CLIP_FRAMES}")
+    if header.layers != 1:
+        raise CorruptStream(f"the stream has {header.layers} layers, where lsdt-clip has one")
     if header.chunk_frames != min(CHUNK_CLIPS * clip_frames, header.frames):
         raise CorruptStream(f"the stream has chunks of {header.chunk_frames} frames for clips of {clip_frames}")
     return FORMS[first >> 7], clip_frames, index

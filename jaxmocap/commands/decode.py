@@ -20,6 +20,8 @@ class Decode(Command):
     """The file to write: .bvh, .npz or .trc."""
     frames: str | None = None
     """A:B, as in Python: frame B is not included; either may be left out, and negative ones count from the end."""
+    quality: int | None = None
+    """Of a progressive stream, from 1, the coarsest: bytes beyond it need not be there. Default: the finest."""
     model: Path | None = None
     """The model that the stream needs, where it is neither shipped nor embedded."""
 
@@ -30,7 +32,7 @@ class Decode(Command):
         began = time.perf_counter()
         chosen = _slice(self.frames)
         try:
-            motion = decode(self.input.read_bytes(), load_model(self.model), chosen)
+            motion = decode(self.input.read_bytes(), load_model(self.model), chosen, self.quality)
         except JaxmocapError as error:
             raise type(error)(f"{self.input}: {error}") from error
         except ValueError as error:

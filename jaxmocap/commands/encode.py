@@ -47,6 +47,8 @@ class Encode(Command):
     """Leave out so many frames at the front: 1 for the T-pose of the CMU conversions."""
     config: str = "{}"
     """Settings of the codec, as JSON: {"clip_frames": 60, "form": "paper"} of lsdt-clip."""
+    qualities: int | None = None
+    """How many qualities the beginnings of the stream shall hold, each of half the error of the one before. Default: 1."""
     embed_model: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Put the model into the stream."""
 
@@ -104,7 +106,9 @@ class Encode(Command):
             raise JaxmocapError('--config is not a JSON object such as {"clip_frames": 60}')
         settings["codec"] = self.codec or (DEFAULT if model is None else model.spec["codec"])
         if self.metric is not None:
-            settings["metric"] = self._metric(settings["codec"])
+            settings["metric"] = self._where_taken("metric", self.metric, settings["codec"])
+        if self.qualities is not None:
+            settings["qualities"] = self._where_taken("qualities", self.qualities, settings["codec"])
         target = self._target()
         if target is not None:
             settings["target"] = target
@@ -112,12 +116,12 @@ class Encode(Command):
             settings["embed"] = True
         return settings
 
-    def _metric(self, codec: str) -> str | None:
+    def _where_taken(self, name: str, value: object, codec: str) -> object:
         from ..codecs import CODECS
 
-        if codec in CODECS and "metric" not in inspect.signature(CODECS[codec]).parameters:
-            raise JaxmocapError(f"--metric is for codecs that take one, such as learned; that of {codec} is joints")
-        return self.metric
+        if codec in CODECS and name not in inspect.signature(CODECS[codec]).parameters:
+            raise JaxmocapError(f"--{name} is for codecs that take it, such as learned; {codec} does not")
+        return value
 
     def _target(self) -> Target | None:
         from ..codecs.base import Target

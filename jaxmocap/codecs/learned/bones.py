@@ -20,9 +20,7 @@ _FINEST = -13  # the step of fineness 0 is 2^-13 cm
 _FIXED_POINT = 16
 _SIZE_BITS = 8
 _SIZE = 1 << _SIZE_BITS - 1
-_SOMEBODY = 0  # in place of a size: a person of the corpus follows
-_PERSON_BITS = 6
-MOST_PEOPLE = 1 << _PERSON_BITS
+MOST_PEOPLE = 32  # of the corpus: sizes below this, which nobody has, name one of them
 _NAMES = ("mean", "spread", "partner", "mirror", "people")
 
 
@@ -31,7 +29,7 @@ class BoneModel:
     """`mean` holds x, y, z of every bone in 2^-16 cm; `spread` is 16 log2 of how far each strays, in cm.
 
     `partner[b]` is an earlier bone that strays alike (-1: none), `mirror[b]` the signs with which it does. `people` are
-    those of the corpus, in 2^-16 cm: who is one of them costs two bytes.
+    those of the corpus, in 2^-16 cm: who is one of them costs one byte.
     """
 
     mean: Int[np.ndarray, "bones 3"]
@@ -63,13 +61,12 @@ def write_bones(bones: Float[np.ndarray, "bones 3"], model: BoneModel, fineness:
     person = _known_person(bones, model, octave)
     if person is not None:
         encoder = RangeEncoder()
-        encoder.encode_bits(_SOMEBODY, _SIZE_BITS)
-        encoder.encode_bits(person, _PERSON_BITS)
+        encoder.encode_bits(person, _SIZE_BITS)
         return encoder.finish()
     mean_length = np.linalg.norm(model.mean, axis=1) / (1 << _FIXED_POINT)
     used = mean_length > 0
     ratio = np.median(np.linalg.norm(bones[used], axis=1) / mean_length[used]) if used.any() else 1.0
-    size = int(np.clip(np.rint(_SIZE * ratio), 1, 2 * _SIZE - 1))
+    size = int(np.clip(np.rint(_SIZE * ratio), MOST_PEOPLE, 2 * _SIZE - 1))
     strayed = np.rint(np.ldexp(bones, -octave)).astype(np.int64) - model.predicted(size, octave)
     encoder = RangeEncoder()
     encoder.encode_bits(size, _SIZE_BITS)
@@ -85,11 +82,10 @@ def read_bones(data: bytes, model: BoneModel, fineness: int, tail: np.ndarray) -
     octave = fineness + _FINEST
     decoder = RangeDecoder(data)
     size = decoder.decode_bits(_SIZE_BITS)
-    if size == _SOMEBODY:
-        person = decoder.decode_bits(_PERSON_BITS)
-        if person >= len(model.people):
-            raise CorruptStream(f"the stream's skeleton is of person {person}, the model knows {len(model.people)}")
-        return np.ldexp(model.people[person].astype(np.float64), -_FIXED_POINT)
+    if size < MOST_PEOPLE:
+        if size >= len(model.people):
+            raise CorruptStream(f"the stream's skeleton is of person {size}, the model knows {len(model.people)}")
+        return np.ldexp(model.people[size].astype(np.float64), -_FIXED_POINT)
     strayed = np.zeros_like(model.mean)
     for b in range(len(strayed)):
         sizes = decode_sizes(decoder, _frequencies(model, b, octave, tail))
@@ -97,9 +93,14 @@ def read_bones(data: bytes, model: BoneModel, fineness: int, tail: np.ndarray) -
     return np.ldexp((model.predicted(size, octave) + strayed).astype(np.float64), octave)
 
 
+def is_somebody(data: bytes) -> bool:
+    """True where these bytes name a person of the corpus, whose bones have no fineness."""
+    return not data or data[0] < MOST_PEOPLE
+
+
 def _known_person(bones: np.ndarray, model: BoneModel, octave: int) -> int | None:
     """Whoever of the corpus has these bones, to what they would be rounded to."""
-    apart = np.abs(np.ldexp(model.people.astype(np.float64), -_FIXED_POINT) - bones[None]).max((1, 2))
+    apart = np.abs(np.ldexp(model.people[:MOST_PEOPLE].astype(np.float64), -_FIXED_POINT) - bones[None]).max((1, 2))
     return int(apart.argmin()) if len(apart) and apart.min() <= np.ldexp(0.5, octave) else None
 
 

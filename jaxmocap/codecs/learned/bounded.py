@@ -8,10 +8,11 @@ from __future__ import annotations
 import numpy as np
 
 from ...errors import JaxmocapError
-from .attempt import Attempt, Source, index_of, plain_index, step_of_mean
+from .attempt import Attempt, Source, plain_index, step_of_mean
 from .corrections import correction_bytes
 from .mending import mended
 from .payload import Coded
+from .steps import index_of
 
 _TYPICAL = 0.75  # of all frames are under the bound when quantised plainly
 _BY_MEAN = 3.0  # how far the largest error of a frame is above the mean, about
@@ -19,8 +20,8 @@ _MOST_SHARE = 0.25
 _FINER = 4
 
 
-def encode_to_max(source: Source, cm: float) -> tuple[int, Coded]:
-    """Step index and all integers: no point of any frame is off by more than `cm`. Raises JaxmocapError out of reach."""
+def encode_to_max(source: Source, cm: float) -> Coded:
+    """All integers: no point of any frame is off by more than `cm`. Raises JaxmocapError out of reach."""
 
     def typical(index: int) -> float:
         return float(np.quantile(Attempt(source, index).optimiser.errors().max(0), _TYPICAL))
@@ -29,10 +30,10 @@ def encode_to_max(source: Source, cm: float) -> tuple[int, Coded]:
     best = None
     for finer in (*range(index, 0, -_FINER), 0):
         attempt = Attempt(source, finer)
-        attempt.refine(None)
-        coded, largest = mended(source, attempt.coded(), attempt.step, cm)
+        attempt.refine()
+        coded, largest = mended(source, attempt.coded(), cm)
         if largest <= cm:
-            best = finer, coded
+            best = coded
             extra = correction_bytes(coded.corrections, len(source.path), source.octaves, source.basis.components)
             if extra <= _MOST_SHARE * (extra + attempt.bits() / 8):
                 break

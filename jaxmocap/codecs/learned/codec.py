@@ -21,20 +21,22 @@ from ...skeleton import Skeleton
 from ..artifact import Artifact, stream_artifact
 from ..base import AbstractCodec, Target, frame_range
 from ..container import DIGEST_BYTES, Header, Stream, read_stream, write_stream
-from ..quantise import step_cm
 from . import bands
+from .attempt import Source
+from .basis import Basis
 from .constants import with_constants, write_constants
 from .distortion import METRICS, Metric, points_of
-from .encoder import encode_to, typical_mean
+from .encoder import encode_in_layers, typical_mean
 from .figure import in_cm
 from .model import LearnedModel
-from .payload import read_payload, write_payload
+from .payload import Coded, coefficients_of, read_payload, write_payload
 from .pose_vectors import PoseVectors
 from .setting import (
     CHUNK_FRAMES,
     HAS_CONSTANTS,
     KNOWN_FLAGS,
     OWN_BASIS,
+    Setting,
     join_sections,
     read_setting,
     write_known,
@@ -44,27 +46,32 @@ from .setting import (
 NUMBER = 2
 _MOST_AT_ONCE = 1 << 23  # joints times frames
 _LARGEST = 1e9  # degrees or file units
+MOST_QUALITIES = 8
 
 
 class Learned(AbstractCodec):
     """`artifact` is the trained model; `target` None means a mean error of 0.5 % of the figure's height.
 
     `metric` says what the target is an error of: "joints" their positions, "shell" three points 3 cm from each, which see
-    twist and the rotations of leaves, too. `embed` puts the model itself into every stream.
+    twist and the rotations of leaves, too. `embed` puts the model itself into every stream. With `qualities` the stream
+    is progressive: its beginnings decode, too, to motions whose error is twice as large for each that is left out.
     """
 
     artifact: Artifact = eqx.field(static=True)
     metric: Literal["joints", "shell"] = eqx.field(static=True, default="shell")
     target: Target | None = eqx.field(static=True, default=None)
     embed: bool = eqx.field(static=True, default=False)
+    qualities: int = eqx.field(static=True, default=1)
 
     def __check_init__(self) -> None:
         if self.metric not in METRICS:
             raise ValueError(f"metric is {self.metric!r}, wanted one of {METRICS}")
+        if not 1 <= self.qualities <= MOST_QUALITIES:
+            raise ValueError(f"qualities is {self.qualities}, wanted 1 to {MOST_QUALITIES}")
 
     def config(self) -> dict:
         target = None if self.target is None else {"kind": self.target.kind, "cm": self.target.cm}
-        return {"codec": "learned", "metric": self.metric, "target": target, "embed": self.embed}
+        return {"codec": "learned", "metric": self.metric, "target": target, "embed": self.embed, "qualities": self.qualities}
 
     def encode(self, motion: Motion) -> bytes:
         """The stream; what decodes from it has been measured to meet the target.
@@ -74,34 +81,39 @@ class Learned(AbstractCodec):
         if not motion.frame_count or not (np.abs(motion.values) < _LARGEST).all():
             raise JaxmocapError(f"the motion has no frames, or values that are not finite numbers below {_LARGEST:g}")
         motion = _codable(motion)
-        target = self.target or Target.default(motion)
         model = model_of(self.artifact)
-        aim = target
+        known = model.rig.skeleton.same_rig(motion.skeleton)
+        scale = motion.unit_cm or (model.rig.unit_cm if known else 1.0)
+        asked = self.target or Target.default(motion)
+        target = aim = Target(asked.kind, asked.cm * scale / motion.scale)
+        write = write_known if known else write_own_setting
+        setting, sources = write(motion, scale, model, self.metric, typical_mean(target))
         while True:
-            data = self._encode(motion, model, aim)
-            error = _error(motion, decode(read_stream(data), self.artifact), self.metric, target)
+            data = self._stream(motion, model, setting, sources, aim)
+            error = _error(sources, decode(read_stream(data), self.artifact), scale, target)
             if error <= target.cm:
                 return data
             aim = Target(aim.kind, aim.cm * min(0.998, target.cm / error))
 
-    def decode(self, data: bytes, frames: slice | None = None) -> Motion:
-        return decode(read_stream(data), self.artifact, frames)
+    def decode(self, data: bytes, frames: slice | None = None, quality: int | None = None) -> Motion:
+        """With `quality`, from 1 on, as it is after so many layers; bytes beyond them need not be there."""
+        return decode(read_stream(data, quality), self.artifact, frames)
 
-    def _encode(self, motion: Motion, model: LearnedModel, target: Target) -> bytes:
-        rig = model.rig
-        known = rig.skeleton.same_rig(motion.skeleton)
-        scale = motion.unit_cm or (rig.unit_cm if known else 1.0)
-        target = Target(target.kind, target.cm * scale / motion.scale)
-        write = write_known if known else write_own_setting
-        setting, sources = write(motion, scale, model, self.metric, typical_mean(target))
+    def _stream(
+        self, motion: Motion, model: LearnedModel, setting: Setting, sources: list[Source], target: Target
+    ) -> bytes:
         constants = write_constants(motion, model.constants)
-        chunks = []
-        for source in sources:
-            index, coded = encode_to(source, target)
-            chunks.append(write_payload(coded, index, setting.basis, model.densities))
+        coded = [encode_in_layers(source, target, self.qualities) for source in sources]
+        chunks = [
+            write_payload(layers[n], layers[:n], setting.basis, model.densities)
+            for n in range(self.qualities)
+            for layers in coded
+        ]
+        flags = METRICS.index(self.metric) << 7 | setting.flags | HAS_CONSTANTS * bool(constants)
+        rig = model.rig
         header = Header(
             codec=NUMBER,
-            params=bytes([METRICS.index(self.metric) << 7 | setting.flags | HAS_CONSTANTS * bool(constants)]),
+            params=bytes([flags] if flags else []),
             frames=motion.frame_count,
             chunk_frames=min(CHUNK_FRAMES, motion.frame_count),
             skeleton=join_sections([*setting.sections, *([constants] if constants else [])]),
@@ -109,6 +121,7 @@ class Learned(AbstractCodec):
             model=self.artifact.data if self.embed else None,
             frame_time=None if motion.frame_time == rig.frame_time else motion.frame_time,
             unit_cm=None if motion.unit_cm == rig.unit_cm else motion.unit_cm or 0.0,
+            layers=self.qualities,
         )
         return write_stream(header, chunks)
 
@@ -128,18 +141,29 @@ def decode(stream: Stream, at_hand: Artifact | None, frames: slice | None = None
         raise JaxmocapError(f"{stop - start} frames are too many to decode at once; take them in parts (--frames A:B)")
     figure, basis = setting.figure, setting.basis
     first, last = start // header.chunk_frames, (stop - 1) // header.chunk_frames
-    payloads = [stream.chunk(n) for n in range(first, last + 1)]  # all are whole, before the first is decoded
+    chunks = range(first, last + 1)
+    payloads = [[stream.chunk(n, k) for k in range(stream.layers)] for n in chunks]  # all whole, before one is decoded
     parts = []
-    for n, payload in enumerate(payloads, first):
+    for n, of_layers in zip(chunks, payloads, strict=True):
         held = min(header.chunk_frames, header.frames - n * header.chunk_frames)
-        index, coded = read_payload(payload, held, bands.octave_count(frame_time), basis, model.densities)
-        y = coded.coefficients(step_cm(index)).astype(np.float32)
-        parts.append(figure.values(*basis.vectors(y, coded.direction), scale))
+        layers = read_layers(of_layers, held, bands.octave_count(frame_time), basis, model)
+        y = np.asarray(coefficients_of(layers), np.float32)
+        parts.append(figure.values(*basis.vectors(y, layers[0].direction), scale))
     values = with_constants(np.concatenate(parts), setting.constants, model.constants)
     if not np.isfinite(values).all():
         raise CorruptStream("the stream's bones or joints are beyond all measure")
     skipped = first * header.chunk_frames
     return Motion(skeleton, values[start - skipped : stop - skipped], frame_time, unit_cm)
+
+
+def read_layers(
+    payloads: list[bytes], frames: int, octaves: int, basis: Basis, model: LearnedModel
+) -> list[Coded]:
+    """Of a chunk, from coarse to fine."""
+    layers: list[Coded] = []
+    for payload in payloads:
+        layers.append(read_payload(payload, layers, frames, octaves, basis, model.densities))
+    return layers
 
 
 def _codable(motion: Motion) -> Motion:
@@ -154,15 +178,19 @@ def _codable(motion: Motion) -> Motion:
     return Motion.from_positions(positions, s.names, motion.frame_time, s.parents, motion.unit_cm)
 
 
-def _error(motion: Motion, decoded: Motion, metric: Metric, target: Target) -> float:
-    """What the target speaks of, in cm, or in file units where the unit is unknown; 0 where it speaks of no error."""
+def _error(sources: list[Source], decoded: Motion, scale: float, target: Target) -> float:
+    """What the target speaks of, in cm, of all that decodes; 0 where it speaks of no error."""
     if target.kind == "step":
         return 0.0
-    scale = motion.scale
-    figures = [PoseVectors(in_cm(m.skeleton, scale), _upright(m.skeleton)) for m in (motion, decoded)]
-    points = [points_of(f, metric, *f.analyse(m, scale)) for f, m in zip(figures, (motion, decoded), strict=True)]
-    errors = np.linalg.norm(points[0] - points[1], axis=0)
-    return float(errors.mean(dtype=np.float64) if target.kind == "mean" else errors.max())
+    figure = PoseVectors(in_cm(decoded.skeleton, scale), _upright(decoded.skeleton))
+    errors, start = [], 0
+    for source in sources:
+        part = decoded.frames(start, start + len(source.path))
+        points = points_of(figure, source.metric, *figure.analyse(part, scale))
+        errors.append(np.linalg.norm(points - source.distortion.target, axis=0))
+        start += len(source.path)
+    all_errors = np.concatenate(errors, 1)
+    return float(all_errors.mean(dtype=np.float64) if target.kind == "mean" else all_errors.max())
 
 
 def _upright(skeleton: Skeleton) -> np.ndarray:
@@ -171,11 +199,12 @@ def _upright(skeleton: Skeleton) -> np.ndarray:
 
 def params_of(header: Header) -> tuple[int, Metric]:
     """Flags of the setting, and the metric of a stream."""
-    if header.codec != NUMBER or len(header.params) != 1 or header.params[0] & ~(1 << 7 | KNOWN_FLAGS):
+    flags = header.params[0] if header.params else 0
+    if header.codec != NUMBER or len(header.params) > 1 or flags & ~(1 << 7 | KNOWN_FLAGS):
         raise CorruptStream(f"this is no learned stream: codec {header.codec}, settings {header.params.hex()}")
     if header.chunk_frames != min(CHUNK_FRAMES, header.frames):
         raise CorruptStream(f"the stream has chunks of {header.chunk_frames} frames, wanted {CHUNK_FRAMES}")
-    return header.params[0] & KNOWN_FLAGS, METRICS[header.params[0] >> 7]
+    return flags & KNOWN_FLAGS, METRICS[flags >> 7]
 
 
 @functools.lru_cache(maxsize=8)

@@ -15,10 +15,10 @@ from .bands import band_rows
 from .contexts import PATH, BandContexts, fast_contexts, groups, magnitude, slow_activity, slow_contexts
 from .density import FrozenDensity, bits, stop_frequencies, tail_rows
 from .golomb import read_signed, write_signed
-from .spectrum import Spectrum
+from .spectrum import Expectation
+from .steps import level_of_step
 
 _COUNT_ORDER = 2
-_TYPICAL_ROWS = 1 << 10  # of the lowest band, where counts are guessed
 _LIKELY = -32  # components expected to reach a quarter of a step are expected to be there at all
 
 
@@ -47,31 +47,31 @@ def active_components(levels: Levels) -> list[int]:
     return counts[::-1]
 
 
-def band_contexts(levels: Levels, spectrum: Spectrum, step_index: int, counts: list[int]) -> Iterator[BandContexts]:
+def band_contexts(levels: Levels, expectation: Expectation, step_index: int, counts: list[int]) -> Iterator[BandContexts]:
     """The contexts of one band after another; a band is read from `levels` only when the next is asked for."""
-    rows = len(levels[0])
-    yield slow_contexts(spectrum.slow_prior(rows, step_index)[:, : counts[0]], step_index)
+    level = level_of_step(step_index)
+    yield slow_contexts(expectation.slow_prior(len(levels[0]), level)[:, : counts[0]], level)
     parents = magnitude(slow_activity(levels[0]))
     for octave, count in enumerate(counts[1:]):
-        prior = spectrum.fast_prior(len(levels[octave + 1]), octave, step_index)[:, :count]
-        yield fast_contexts(prior, step_index, octave, parents)
+        prior = expectation.fast_prior(len(levels[octave + 1]), octave, level)[:, :count]
+        yield fast_contexts(prior, level, octave, parents)
         if len(levels[octave + 1]):  # short clips have nothing in their coarsest octaves, but have in finer ones
             parents = magnitude(levels[octave + 1])
 
 
-def level_bits(levels: Levels, spectrum: Spectrum, step_index: int, densities: Densities) -> float:
+def level_bits(levels: Levels, expectation: Expectation, step_index: int, densities: Densities) -> float:
     """About what the levels will take, in bits, without coding them."""
     total, counts = 0.0, active_components(levels)
-    for band, count, contexts in zip(levels, counts, band_contexts(levels, spectrum, step_index, counts), strict=True):
+    for band, count, contexts in zip(levels, counts, band_contexts(levels, expectation, step_index, counts), strict=True):
         outputs = densities.of(contexts).logits(contexts.inputs_of(magnitude(band[:, :count])))
         total += float(bits(outputs, np.abs(band[:, :count]).ravel()).sum())
     return total
 
 
-def encode_levels(encoder: Encoder, levels: Levels, spectrum: Spectrum, step_index: int, densities: Densities) -> None:
+def encode_levels(encoder: Encoder, levels: Levels, expectation: Expectation, step_index: int, densities: Densities) -> None:
     counts = active_components(levels)
-    _write_counts(encoder, counts, spectrum, step_index)
-    for band, count, contexts in zip(levels, counts, band_contexts(levels, spectrum, step_index, counts), strict=True):
+    _write_counts(encoder, counts, expectation, step_index)
+    for band, count, contexts in zip(levels, counts, band_contexts(levels, expectation, step_index, counts), strict=True):
         flat = band[:, :count].ravel().astype(np.int64)
         outputs = densities.of(contexts)(contexts.inputs_of(magnitude(band[:, :count])))
         for group in groups(len(band), count, contexts.slow):
@@ -79,13 +79,13 @@ def encode_levels(encoder: Encoder, levels: Levels, spectrum: Spectrum, step_ind
 
 
 def decode_levels(
-    decoder: Decoder, frames: int, octaves: int, spectrum: Spectrum, step_index: int, densities: Densities
+    decoder: Decoder, frames: int, octaves: int, expectation: Expectation, step_index: int, densities: Densities
 ) -> Levels:
     """Raises CorruptStream where no encoder wrote such bytes."""
     rows = band_rows(frames, octaves)
-    counts = _read_counts(decoder, len(rows), spectrum, step_index)
-    levels = [np.zeros((n, spectrum.components), np.int64) for n in rows]
-    for band, count, contexts in zip(levels, counts, band_contexts(levels, spectrum, step_index, counts), strict=True):
+    counts = _read_counts(decoder, len(rows), expectation, step_index)
+    levels = [np.zeros((n, expectation.components), np.int64) for n in rows]
+    for band, count, contexts in zip(levels, counts, band_contexts(levels, expectation, step_index, counts), strict=True):
         n = contexts.neighbours
         own = n.padded(np.zeros((len(band), count), np.int64))
         excess, expected = own.copy(), contexts.expected.ravel()
@@ -152,27 +152,25 @@ def _even(count: int) -> np.ndarray:
     return np.full((count, 2), 1 << 15, np.int64)
 
 
-def _expected_counts(band_count: int, spectrum: Spectrum, step_index: int) -> Iterator[int]:
-    priors = [spectrum.slow_prior(_TYPICAL_ROWS, step_index)]
-    priors += [spectrum.fast_prior(1, octave, step_index) for octave in range(band_count - 1)]
-    for prior in priors:
+def _expected_counts(band_count: int, expectation: Expectation, step_index: int) -> Iterator[int]:
+    for prior in expectation.typical(band_count - 1, level_of_step(step_index)):
         likely = np.flatnonzero((prior > _LIKELY).any(0))
         yield int(likely[-1]) + 1 if len(likely) else PATH
 
 
-def _write_counts(encoder: Encoder, counts: list[int], spectrum: Spectrum, step_index: int) -> None:
-    previous = spectrum.components
-    for count, likely in zip(counts, _expected_counts(len(counts), spectrum, step_index), strict=True):
+def _write_counts(encoder: Encoder, counts: list[int], expectation: Expectation, step_index: int) -> None:
+    previous = expectation.components
+    for count, likely in zip(counts, _expected_counts(len(counts), expectation, step_index), strict=True):
         if previous == 0:
             return
         write_signed(encoder, count - min(likely, previous), _COUNT_ORDER)
         previous = count
 
 
-def _read_counts(decoder: Decoder, band_count: int, spectrum: Spectrum, step_index: int) -> list[int]:
+def _read_counts(decoder: Decoder, band_count: int, expectation: Expectation, step_index: int) -> list[int]:
     counts: list[int] = []
-    previous = spectrum.components
-    for likely in _expected_counts(band_count, spectrum, step_index):
+    previous = expectation.components
+    for likely in _expected_counts(band_count, expectation, step_index):
         count = read_signed(decoder, _COUNT_ORDER) + min(likely, previous) if previous else 0
         if not 0 <= count <= previous:
             raise CorruptStream(f"a band has {count} components, where {previous} are the most")

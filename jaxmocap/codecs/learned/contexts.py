@@ -144,22 +144,22 @@ class BandContexts:
         return jnp.concatenate([self.fixed, *(x.reshape(-1, x.shape[-1]) for x in parts)], 1)
 
 
-def slow_contexts(prior: Int[A, "rows components"], step_index: int | Array) -> BandContexts:
-    """Of the lowest band; `prior` is 16 log2 of what the corpus expects, in steps."""
+def slow_contexts(prior: Int[A, "rows components"], step_level: int | Array) -> BandContexts:
+    """Of the lowest band; `prior` is 16 log2 of what is expected, in steps, `step_level` that of the step in cm."""
     rows, components = prior.shape
     xp = namespace(prior)
     prior = clipped(prior)
     row, component = np.meshgrid(np.arange(rows), np.arange(components), indexing="ij")
     fixed = xp.stack([
         prior, component, OCTAVE * (component < PATH), OCTAVE * (component < PATH - 1), magnitude(row) // 2,
-        np.full_like(row, magnitude(np.array(rows)) // 2), xp.broadcast_to(_quarter(step_index), row.shape),
+        np.full_like(row, magnitude(np.array(rows)) // 2), xp.broadcast_to(_quarter(step_level), row.shape),
     ], -1)  # fmt: skip
     fixed = fixed.reshape(rows * components, fixed.shape[-1])
     return BandContexts(True, fixed, expected(prior), Neighbours.of(rows, components))
 
 
 def fast_contexts(
-    prior: Int[A, "rows components"], step_index: int | Array, octave: int, parents: A
+    prior: Int[A, "rows components"], step_level: int | Array, octave: int, parents: A
 ) -> BandContexts:
     """Of an octave (0: the lowest); `parents` are the magnitudes of the octave below, or of the lowest band over time."""
     rows, components = prior.shape
@@ -171,7 +171,7 @@ def fast_contexts(
     mean = xp.broadcast_to(mean[None], (rows, components)).reshape(-1, 1)
     fixed = xp.stack([
         prior, component, OCTAVE * (component < PATH), np.full_like(row, OCTAVE * octave), OCTAVE * (row % 2),
-        xp.broadcast_to(_quarter(step_index), row.shape),
+        xp.broadcast_to(_quarter(step_level), row.shape),
     ], -1)  # fmt: skip
     whole = xp.concatenate([xp.asarray(fixed.reshape(rows * components, fixed.shape[-1])), near, mean], 1)
     return BandContexts(False, whole, expected(prior), Neighbours.of(rows, components))
@@ -181,7 +181,8 @@ def _near_parents(parents: np.ndarray | Array, row: np.ndarray, component: np.nd
     """Magnitudes around the parent of every place: (places, neighbours)."""
     rows, components = parents.shape
     n = Neighbours.of(rows, components)
-    parent = np.minimum(row // 2, rows - 1)
+    same_rate = rows >= len(row)  # the lowest band over time has the rows of the lowest octave, others have half as many
+    parent = np.minimum(row if same_rate else row // 2, rows - 1)
     if isinstance(parents, np.ndarray):
         base = n.base[(parent * components + component).ravel()][:, None]
         return n.padded(parents)[base + n.steps(PARENTS)]
@@ -190,8 +191,8 @@ def _near_parents(parents: np.ndarray | Array, row: np.ndarray, component: np.nd
     return (chosen @ near.reshape(rows, -1)).reshape(-1, len(PARENTS))
 
 
-def _quarter(step_index: int | Array) -> int | Array:
-    return step_index / 4 if isinstance(step_index, Array) else step_index // 4
+def _quarter(level: int | Array) -> int | Array:
+    return level / 4 if isinstance(level, Array) else level // 4
 
 
 def slow_activity(levels: Int[np.ndarray, "rows components"]) -> Int[np.ndarray, "rows components"]:

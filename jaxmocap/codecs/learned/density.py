@@ -5,7 +5,8 @@ The network says, as logits, whether a magnitude stops at 0, at 1 and at 2, and 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import functools
+from dataclasses import dataclass
 
 import equinox as eqx
 import jax
@@ -65,7 +66,8 @@ class Density(eqx.Module):
         return FrozenDensity([w.astype(np.int16) for w in weights], [b.astype(np.int32) for b in biases])
 
 
-class FrozenDensity(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class FrozenDensity:
     """The network in integers: no rounding, and so the same outputs on every machine, in numpy and in compiled JAX."""
 
     weights: list[np.ndarray]
@@ -75,22 +77,37 @@ class FrozenDensity(NamedTuple):
         """In 32nds of a logit (of an octave, for the tail)."""
         xp = namespace(contexts)
         h = contexts
-        for n, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+        weights = self._doubles if xp is np else self.weights
+        for n, (weight, bias) in enumerate(zip(weights, self.biases, strict=True)):
             h = _product(h, weight) + xp.asarray(bias)[None]
-            if n < len(self.weights) - 1:
-                h = xp.clip(h >> _WEIGHT_BITS, 0, _HIDDEN_MOST)
+            if n < len(weights) - 1:
+                h = xp.minimum(xp.maximum(h >> _WEIGHT_BITS, 0), _HIDDEN_MOST)
         shift = _WEIGHT_BITS + _HIDDEN_BITS - (_LOGIT.bit_length() - 1)
         return xp.clip(h >> shift, -_MOST, _MOST + _LOGIT)
 
     def logits(self, contexts: Int[np.ndarray, "places inputs"]) -> Float[np.ndarray, "places outputs"]:
         """About the same as real numbers, quickly: for costs, never for coding."""
-        first = np.float32(1 << _WEIGHT_BITS + _HIDDEN_BITS)
+        *hidden, (weight, bias) = self._floats
         h = contexts.astype(np.float32)
-        for n, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            h = h @ (weight.astype(np.float32) / (first if n == 0 else np.float32(1 << _WEIGHT_BITS))) + bias / first
-            if n < len(self.weights) - 1:
-                h = np.clip(h, 0, _HIDDEN_MOST >> _HIDDEN_BITS)
-        return h
+        for w, b in hidden:
+            h = h @ w
+            h += b
+            np.maximum(h, 0, out=h)
+            np.minimum(h, _HIDDEN_MOST >> _HIDDEN_BITS, out=h)
+        return h @ weight + bias
+
+    @functools.cached_property
+    def _doubles(self) -> list[np.ndarray]:
+        return [weight.astype(np.float64) for weight in self.weights]
+
+    @functools.cached_property
+    def _floats(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        first = np.float32(_BIAS_SCALE)
+        scales = [first] + [np.float32(1 << _WEIGHT_BITS)] * (len(self.weights) - 1)
+        return [
+            (w.astype(np.float32) / scale, b.astype(np.float32) / first)
+            for w, b, scale in zip(self.weights, self.biases, scales, strict=True)
+        ]
 
     def thaw(self) -> Density:
         """The trainable network that freezes to this one."""
@@ -110,7 +127,7 @@ class FrozenDensity(NamedTuple):
 def _product(x: Int[A, "places inputs"], weight: np.ndarray) -> Int[A, "places outputs"]:
     """Exact: numpy has a quick product for doubles alone, which hold whole numbers up to 2^53; XLA's integers have 32 bits."""
     if isinstance(x, np.ndarray):
-        return (x.astype(np.float64) @ weight.astype(np.float64)).astype(np.int64)
+        return (x.astype(np.float64) @ weight).astype(np.int64)
     return jnp.matmul(x.astype(jnp.int32), jnp.asarray(weight, jnp.int32))
 
 

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from ..artifact import Artifact, stream_artifact
 from ..container import Stream
-from ..quantise import step_cm
 from . import bands
-from .codec import model_of, params_of
-from .payload import read_payload
+from .codec import model_of, params_of, read_layers
 from .setting import HAS_CONSTANTS, OWN_BASIS, join_sections, read_setting
 
 
 def describe(stream: Stream, at_hand: Artifact | None) -> dict[str, object]:
-    """As JSON. `steps_cm` has one step a chunk; `sections` are all bytes of the stream, by what they hold.
+    """As JSON. `steps_cm` has a step for every layer of every chunk; `sections` are all bytes of the stream, by what they hold.
 
     Raises ModelMismatch, CorruptStream or TruncatedStream.
     """
@@ -24,14 +22,16 @@ def describe(stream: Stream, at_hand: Artifact | None) -> dict[str, object]:
     steps, jumps, nonzeros, corrections = [], 0, 0, 0
     for n in range(header.chunk_count):
         held = min(header.chunk_frames, header.frames - n * header.chunk_frames)
-        index, coded = read_payload(stream.chunk(n), held, octaves, setting.basis, model.densities)
-        steps.append(round(step_cm(index), 6))
-        jumps += len(coded.jumps.frames)
-        corrections += len(coded.corrections.level)
-        nonzeros += sum(int((band != 0).sum()) for band in coded.levels)
+        payloads = [stream.chunk(n, k) for k in range(stream.layers)]
+        for coded in read_layers(payloads, held, octaves, setting.basis, model):
+            steps.append(round(coded.step, 6))
+            jumps += len(coded.jumps.frames)
+            corrections += len(coded.corrections.level)
+            nonzeros += sum(int((band != 0).sum()) for band in coded.levels)
     return {
         "metric": metric,
         "basis": "its own" if flags & OWN_BASIS else "the model's",
+        "qualities": header.layers,
         "components": setting.basis.components,
         "steps_cm": steps,
         "jumps": jumps,

@@ -28,7 +28,6 @@ from .density import Density
 from .pose_vectors import PoseVectors
 from .spectrum import Spectrum
 
-_FINEST_OCTAVE = -7  # log2 of the step of index 0 in cm
 _CUTOFF = 1e-5  # of singular values of the basis: all that moves anything lies above
 
 
@@ -117,16 +116,16 @@ def quantised(transform: Transform, vectors: Vectors, octaves: int, key: PRNGKey
 
 def level_rate(transform: Transform, coded: Quantised) -> Float[Array, ""]:
     """Bits of levels in their contexts, as `coefficients.level_bits`."""
-    index = OCTAVE * (transform.log_step - _FINEST_OCTAVE)
+    level = OCTAVE * transform.log_step
     spectrum, levels = transform.spectrum, coded.levels
-    prior = jnp.asarray(spectrum.slow_prior(len(levels[0]), 0), index.dtype) - index
-    total = _band_rate(transform.slow, slow_contexts(prior, index), levels[0], coded.counts[0])
+    prior = jnp.asarray(spectrum.slow_prior(len(levels[0]), 0), level.dtype) - level
+    total = _band_rate(transform.slow, slow_contexts(prior, level), levels[0], coded.counts[0])
     parents = smooth_magnitude(smooth_activity(levels[0]))
     for octave, band in enumerate(levels[1:]):
         if not len(band):
             continue
-        prior = jnp.asarray(spectrum.fast_prior(len(band), octave, 0), index.dtype) - index
-        contexts = fast_contexts(prior, index, octave, parents)
+        prior = jnp.asarray(spectrum.fast_prior(len(band), octave, 0), level.dtype) - level
+        contexts = fast_contexts(prior, level, octave, parents)
         total = total + _band_rate(transform.fast, contexts, band, coded.counts[octave + 1])
         parents = smooth_magnitude(band)
     return total

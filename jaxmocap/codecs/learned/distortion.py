@@ -40,16 +40,16 @@ class Distortion:
         self.target = points_of(original, metric, path.astype(np.float32), body.astype(np.float32))
 
     def gradient(
-        self, y: Float[np.ndarray, "frames components"], softening: float, weight: np.ndarray | float = 1.0
+        self, y: Float[np.ndarray, "frames components"], softening: float
     ) -> tuple[np.ndarray, np.ndarray, float]:
         """Errors (points, frames) in cm, the gradient of every frame's mean error in y, and its mean curvature.
 
-        Errors below `softening` count as squares, so that the curvature stays bounded. `weight` is of points and frames.
+        Errors below `softening` count as squares, so that the curvature stays bounded.
         """
         pose = self._posed(y)
         difference = _points(self._figure, self._metric, pose) - self.target
         error = np.sqrt((difference**2).sum(0))
-        factor = weight / (error + np.float32(softening))
+        factor = 1 / (error + np.float32(softening))
         return error, self._pull(pose, difference * factor), float(factor.mean())
 
     def curvatures(self, y: np.ndarray) -> Float[np.ndarray, " components"]:

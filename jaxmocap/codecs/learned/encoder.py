@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import math
+from dataclasses import replace
 
 from ...errors import JaxmocapError
 from ..base import Target
-from ..quantise import STEPS, step_index
-from .attempt import Attempt, Source, index_of, mean_of_step, plain_index, step_of_mean, steps_apart
+from .attempt import Attempt, Source, mean_of_step, plain_index, step_of_mean
 from .bounded import encode_to_max
 from .payload import Coded
+from .steps import STEPS, coarsest_within, index_of
 
 
 def typical_mean(target: Target) -> float:
@@ -22,38 +22,43 @@ def rough_bytes(source: Source, mean_cm: float) -> float:
     return Attempt(source, index_of(step_of_mean(mean_cm))).bits() / 8
 
 
-def encode_to_mean(source: Source, mean_cm: float) -> tuple[int, Coded]:
-    """Step index and levels of a mean error of at most `mean_cm`. Raises JaxmocapError where no step is fine enough."""
-    start = index_of(step_of_mean(mean_cm))
-    index = plain_index(start, mean_cm, lambda n: Attempt(source, n).mean_error)
-    best, too_coarse = None, STEPS
-    while 0 <= index < too_coarse:
+def encode_to_mean(source: Source, mean_cm: float) -> Coded:
+    """All integers for a mean error of at most `mean_cm`. Raises JaxmocapError where no step is fine enough."""
+    index = plain_index(index_of(step_of_mean(mean_cm)), mean_cm, lambda n: Attempt(source, n).mean_error)
+    tried: set[int] = set()
+    while True:
         attempt = Attempt(source, index)
-        met = attempt.refine(mean_cm)
-        apart = steps_apart(max(attempt.mean_error, 1e-9) / mean_cm)
-        if met and (best is None or attempt.bits() < best[0]):
-            best = (attempt.bits(), index, attempt.coded())
-        elif best is not None:
-            break
-        if met and apart > -1:
-            break
-        too_coarse = too_coarse if met else index
-        index += max(math.floor(-apart), 1) if met else -max(math.ceil(apart), 1)
-    if best is None:
-        raise JaxmocapError(f"a mean error of {mean_cm:g} cm is out of this codec's reach on this motion")
-    return best[1:]
+        coded = attempt.refine_to(mean_cm, patiently=index in tried)
+        if coded is not None:
+            return coded
+        if not index and index in tried:
+            raise JaxmocapError(f"a mean error of {mean_cm:g} cm is out of this codec's reach on this motion")
+        finer = max(round(attempt.finer), 1) if index in tried else round(attempt.finer) or 1
+        tried.add(index)
+        index = min(max(index - finer, 0), STEPS - 1)
 
 
-def encode_to_step(source: Source, cm: float) -> tuple[int, Coded]:
-    attempt = Attempt(source, step_index(cm))
-    attempt.refine(None)
-    return attempt.index, attempt.coded()
+def encode_to_step(source: Source, cm: float) -> Coded:
+    attempt = Attempt(source, coarsest_within(cm))
+    attempt.refine()
+    return attempt.coded()
 
 
-def encode_to(source: Source, target: Target) -> tuple[int, Coded]:
-    """Step index and all integers of a chunk that meets the target, by the metric of the source."""
+def encode_to(source: Source, target: Target) -> Coded:
+    """All integers of a layer that meets the target, by the metric of the source."""
     if target.kind == "step":
         return encode_to_step(source, target.cm)
     if target.kind == "mean":
         return encode_to_mean(source, target.cm)
     return encode_to_max(source, target.cm)
+
+
+def encode_in_layers(source: Source, target: Target, qualities: int) -> tuple[Coded, ...]:
+    """The target's layer comes last; each before it is for twice the error of the next."""
+    for n in reversed(range(qualities)):
+        here = target
+        if n:
+            kind = "step" if target.kind == "step" else "mean"
+            here = Target(kind, (target.cm if kind == target.kind else typical_mean(target)) * 2.0**n)
+        source = replace(source, coarser=(*source.coarser, encode_to(source, here)))
+    return source.coarser

@@ -16,7 +16,8 @@ from ..entropy.range_coder import Decoder, Encoder
 from .coefficients import Densities, decode_signs, decode_sizes, encode_signs, encode_sizes, tail_frequencies
 from .density import tail_rows_of
 from .golomb import read_unsigned, write_unsigned
-from .spectrum import Spectrum, level_of_step
+from .spectrum import Spectrum
+from .steps import level_of_step
 
 _NEAR = 5  # frames on each side that say what is usual
 _LEAST_CM = 3.0
@@ -34,6 +35,10 @@ class Jumps(NamedTuple):
     def over(y: Float[np.ndarray, "frames components"], frames: Int[np.ndarray, " jumps"], step: float) -> Jumps:
         """The jumps of coefficients to these frames."""
         return Jumps(frames, np.rint((y[frames] - y[frames - 1]) / step).astype(np.int64))
+
+    @staticmethod
+    def none(components: int) -> Jumps:
+        return Jumps(np.zeros(0, np.int64), np.zeros((0, components), np.int64))
 
     def shift(self, frames: int, step: float) -> Float[np.ndarray, "frames components"]:
         """What they add to every frame, in cm: nothing at the last."""

@@ -30,12 +30,12 @@ _SPAN = 8  # samples on each side of a bump that it is followed for
 _LEAST = 0.03
 
 
-def mended(source: Source, coded: Coded, step: float, most_cm: float) -> tuple[Coded, float]:
+def mended(source: Source, coded: Coded, most_cm: float) -> tuple[Coded, float]:
     """With corrections so that no error is above `most_cm`, and the largest error: above it where none help."""
-    mender = _Mender(source, coded, step, _SAFE * most_cm)
+    mender = _Mender(source, coded, _SAFE * most_cm)
     mender.run()
     coded = coded._replace(corrections=mender.corrections())
-    return coded, float(source.distortion.errors(coded.coefficients(step)).max())
+    return coded, float(source.distortion.errors(source.known + coded.coefficients()).max())
 
 
 class _Bump(NamedTuple):
@@ -51,9 +51,9 @@ class _Bump(NamedTuple):
 class _Mender:
     """Of one source at one step; `levels` of every octave are (samples, components)."""
 
-    def __init__(self, source: Source, coded: Coded, step: float, most: float):
-        self.source, self.step, self.most = source, step, most
-        self.plain = coded.coefficients(step)
+    def __init__(self, source: Source, coded: Coded, most: float):
+        self.source, self.step, self.most = source, coded.step, most
+        self.plain = source.known + coded.coefficients()
         self.frames, self.components = self.plain.shape
         # Components that the motion does not use move channels that it holds constant, which decode as they were.
         self.used = np.flatnonzero(np.abs(source.coefficients).max(0) > STILL)

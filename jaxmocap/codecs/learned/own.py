@@ -16,7 +16,6 @@ from ...errors import CorruptStream
 from ...skeleton import Skeleton
 from ..entropy import integers
 from ..entropy.range_coder import Decoder, Encoder, RangeDecoder, RangeEncoder
-from ..quantise import step_cm
 from .basis import Basis
 from .coefficients import decode_signs, decode_sizes, encode_signs, encode_sizes
 from .contexts import OCTAVE, PATH, magnitude
@@ -26,11 +25,11 @@ from .golomb import read_signed, write_signed
 from .model import LearnedModel
 from .pose_vectors import PoseVectors
 from .spectrum import SLOW_BINS, Spectrum
+from .steps import STEP_BITS, step_cm
 
 LEVEL_UNIT = 4  # levels of components are multiples of a quarter of an octave
 MOST_LEVEL = 20 * OCTAVE // LEVEL_UNIT
 COUNT_BITS = 8
-_STEP_BITS = 8
 _LEVER_CM = 2.0  # turns are no more precise than those of a lever of this length need be
 _TYPICAL = 24  # of the model's components that tell what spectra are like
 _LEVEL_ORDER, _CHANGE_ORDER, _SHIFT_ORDER = 4, 0, 1
@@ -130,7 +129,7 @@ def _spectrum(of_model: Spectrum, levels: Int[np.ndarray, " path_and_components"
 def write_own(own: OwnBasis, tail: Int[np.ndarray, "reaches symbols"]) -> bytes:
     """The bytes of a basis; `tail` are the model's densities of integers."""
     encoder = RangeEncoder()
-    encoder.encode_bits(own.fineness, _STEP_BITS)
+    encoder.encode_bits(own.fineness, STEP_BITS)
     encoder.encode_bits(len(own.rows), COUNT_BITS)
     for value in (own.turn, *own.levels[: PATH + 1].tolist()):
         write_signed(encoder, value, _LEVEL_ORDER)
@@ -145,7 +144,7 @@ def write_own(own: OwnBasis, tail: Int[np.ndarray, "reaches symbols"]) -> bytes:
 def read_own(data: bytes, skeleton: Skeleton, tail: Int[np.ndarray, "reaches symbols"]) -> OwnBasis:
     """Raises CorruptStream where no encoder wrote such bytes."""
     decoder = RangeDecoder(data)
-    fineness, count = decoder.decode_bits(_STEP_BITS), decoder.decode_bits(COUNT_BITS)
+    fineness, count = decoder.decode_bits(STEP_BITS), decoder.decode_bits(COUNT_BITS)
     turn, *levels = (read_signed(decoder, _LEVEL_ORDER) for _ in range(1 + PATH + (count > 0)))
     for _ in range(count - 1):
         levels.append(levels[-1] + read_signed(decoder, _CHANGE_ORDER))

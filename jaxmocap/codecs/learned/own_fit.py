@@ -9,7 +9,6 @@ from jaxtyping import Float, Int
 
 from ...motion import Motion
 from ...skeleton import Skeleton
-from ..quantise import PER_OCTAVE, STEPS, step_cm
 from . import bands
 from .attempt import step_of_mean
 from .basis import Basis, direction_of
@@ -20,6 +19,7 @@ from .model import LearnedModel
 from .own import COUNT_BITS, LEVEL_UNIT, MOST_LEVEL, OwnBasis, lever_arms, plain, size_of, typical_spectrum
 from .pose_vectors import PoseVectors
 from .spectrum import Spectrum, slow_bins
+from .steps import index_of, step_cm
 
 _MOST_FRAMES = 8192
 _FINENESS = 0.09  # of rows and means at their levels, in steps of the quantiser
@@ -52,7 +52,7 @@ def _fit(
 ) -> tuple[OwnBasis, Basis, float]:
     """As precise as suits a quantiser's step in cm, and the mean error that it leaves even without that quantiser."""
     energy = _energy(model, metric, motion.frame_time)
-    fineness = int(np.clip(np.rint((np.log2(_FINENESS * step / energy[PATH]) + 7) * PER_OCTAVE), 0, STEPS - 1))
+    fineness = index_of(_FINENESS * step / energy[PATH])
     means = _means(motion, plain(skeleton), scale, step_cm(fineness))
     size = len(means)
     own = OwnBasis(fineness, 0, np.zeros(PATH, np.int64), np.zeros((0, size), np.int64), means)

@@ -1,7 +1,11 @@
-"""The coded motion of a chunk: its step, its direction, jumps, levels and corrections, in one range-coded string."""
+"""The coded motion of a chunk: its step, its direction, jumps, levels and corrections, in one range-coded string.
+
+A chunk may come in layers, from coarse to fine, each a string of its own that holds what those before it left over.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -15,49 +19,75 @@ from .basis import DIRECTIONS, Basis
 from .coefficients import Densities, Levels, decode_levels, encode_levels
 from .corrections import NO_CORRECTIONS, Corrections, decode_corrections, encode_corrections
 from .jumps import Jumps, decode_jumps, encode_jumps
+from .spectrum import Expectation, Leftover, Spectrum
+from .steps import STEP_BITS, level_of_step, step_cm
 
-_STEP_BITS = 8
 _DIRECTION_BITS = DIRECTIONS.bit_length() - 1
 
 
 class Coded(NamedTuple):
-    """All integers of a chunk: what the encoder chose, and what the decoder reads."""
+    """All integers of a layer: what the encoder chose, and what the decoder reads."""
 
+    step_index: int
     direction: int
     jumps: Jumps
     levels: Levels
     corrections: Corrections = NO_CORRECTIONS
 
-    def coefficients(self, step: float) -> Float[np.ndarray, "frames components"]:
+    @property
+    def step(self) -> float:
+        """In cm."""
+        return step_cm(self.step_index)
+
+    def coefficients(self) -> Float[np.ndarray, "frames components"]:
         """In cm, jumps and all."""
-        y = bands.inverse([band * step for band in self.levels])
+        y = bands.inverse([band * self.step for band in self.levels])
         if len(self.jumps.frames):
-            y = y + self.jumps.shift(len(y), step)
+            y = y + self.jumps.shift(len(y), self.step)
         if len(self.corrections.level):
-            y = y + self.corrections.shift(len(y), len(self.levels) - 1, y.shape[1], step)
+            y = y + self.corrections.shift(len(y), len(self.levels) - 1, y.shape[1], self.step)
         return y
 
 
-def write_payload(coded: Coded, step_index: int, basis: Basis, densities: Densities) -> bytes:
+def coefficients_of(layers: Sequence[Coded]) -> Float[np.ndarray, "frames components"] | float:
+    """Of all layers together, in cm."""
+    return sum((layer.coefficients() for layer in layers), 0.0)
+
+
+def expectation_of(spectrum: Spectrum, coarser: Sequence[Coded]) -> Expectation:
+    """Of a layer's levels, once all coarser layers are known."""
+    expectation: Expectation = spectrum
+    for layer in coarser:
+        expectation = Leftover(expectation, layer.levels, level_of_step(layer.step_index))
+    return expectation
+
+
+def write_payload(coded: Coded, coarser: Sequence[Coded], basis: Basis, densities: Densities) -> bytes:
     """Raises JaxmocapError where levels are too large to be coded."""
     if max(np.abs(x).max(initial=0) for x in (*coded.levels, coded.jumps.levels)) >= integers.LIMIT:
         raise JaxmocapError("the motion goes too far for so small an error: it is out of this codec's reach")
     encoder = RangeEncoder()
-    encoder.encode_bits(step_index, _STEP_BITS)
-    encoder.encode_bits(coded.direction, _DIRECTION_BITS)
-    encode_jumps(encoder, coded.jumps, basis.spectrum, step_index, densities)
-    encode_levels(encoder, coded.levels, basis.spectrum, step_index, densities)
+    encoder.encode_bits(coded.step_index, STEP_BITS)
+    if not coarser:
+        encoder.encode_bits(coded.direction, _DIRECTION_BITS)
+        encode_jumps(encoder, coded.jumps, basis.spectrum, coded.step_index, densities)
+    encode_levels(encoder, coded.levels, expectation_of(basis.spectrum, coarser), coded.step_index, densities)
     frames, octaves = sum(len(band) for band in coded.levels), len(coded.levels) - 1
     encode_corrections(encoder, coded.corrections, frames, octaves, basis.components)
     return encoder.finish()
 
 
-def read_payload(data: bytes, frames: int, octaves: int, basis: Basis, densities: Densities) -> tuple[int, Coded]:
-    """The step's index, and all integers. Raises CorruptStream where no encoder wrote such bytes."""
+def read_payload(
+    data: bytes, coarser: Sequence[Coded], frames: int, octaves: int, basis: Basis, densities: Densities
+) -> Coded:
+    """All integers of a layer. Raises CorruptStream where no encoder wrote such bytes."""
     decoder = RangeDecoder(data)
-    step_index = decoder.decode_bits(_STEP_BITS)
-    direction = decoder.decode_bits(_DIRECTION_BITS)
-    jumps = decode_jumps(decoder, frames, basis.spectrum, step_index, densities)
-    levels = decode_levels(decoder, frames, octaves, basis.spectrum, step_index, densities)
+    step_index = decoder.decode_bits(STEP_BITS)
+    if coarser:
+        direction, jumps = coarser[0].direction, Jumps.none(basis.components)
+    else:
+        direction = decoder.decode_bits(_DIRECTION_BITS)
+        jumps = decode_jumps(decoder, frames, basis.spectrum, step_index, densities)
+    levels = decode_levels(decoder, frames, octaves, expectation_of(basis.spectrum, coarser), step_index, densities)
     corrections = decode_corrections(decoder, frames, octaves, basis.components)
-    return step_index, Coded(direction, jumps, levels, corrections)
+    return Coded(step_index, direction, jumps, levels, corrections)

@@ -18,7 +18,7 @@ from ..quantise import PER_OCTAVE
 from ..rig import bones_of, read_skeleton, with_bones, write_skeleton
 from . import bands
 from .basis import Basis
-from .bones import FINENESSES, read_bones, write_bones
+from .bones import FINENESSES, is_somebody, read_bones, write_bones
 from .distortion import Metric
 from .encoder import Source, rough_bytes
 from .figure import in_cm
@@ -53,6 +53,7 @@ def write_known(
     sources = _sources(motion, scale, original, original, basis, metric, model)
     fineness = _bone_fineness(sources, model, mean_cm)
     section, figure = _bones(original, model, fineness)
+    fineness = 0 if is_somebody(section) else fineness
     return Setting(figure, basis, fineness, (section,)), [replace(source, decoding=figure) for source in sources]
 
 

@@ -1,9 +1,13 @@
-"""How large every component is expected to be in every band: what the corpus knows of its motion's spectrum."""
+"""How large every component is expected to be in every band: what the corpus knows of its motion's spectrum.
+
+Where coarser levels are known, what they left over is expected to be small beside their step.
+"""
 
 from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -12,7 +16,19 @@ from .contexts import OCTAVE, magnitude
 
 SLOW_BINS = 19  # the constant, then half octaves of frequency up
 FAST_OCTAVES = 5
+_TYPICAL_ROWS = 1 << 10  # of the lowest band
+_OF_NONZERO, _OF_ZERO = -2 * OCTAVE, -2 * OCTAVE  # beside the coarser step
 _FIRST_BIN = 9 * OCTAVE  # log2 of how many half cycles of 1/7.5 s the slowest bin's end has
+
+
+class Expectation(Protocol):
+    """Priors of levels: 16 log2 of their mean magnitude, where a step of 2^(step_level / 16) cm quantises."""
+
+    @property
+    def components(self) -> int: ...
+    def slow_prior(self, rows: int, step_level: int) -> Int[np.ndarray, "rows components"]: ...
+    def fast_prior(self, rows: int, octave: int, step_level: int) -> Int[np.ndarray, "rows components"]: ...
+    def typical(self, octaves: int, step_level: int) -> list[Int[np.ndarray, "rows components"]]: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,20 +45,47 @@ class Spectrum:
     def components(self) -> int:
         return self.slow.shape[1]
 
-    def slow_prior(self, rows: int, step_index: int) -> Int[np.ndarray, "rows components"]:
-        """In 16ths of an octave of the step. The constant grows with the root of the length."""
+    def slow_prior(self, rows: int, step_level: int) -> Int[np.ndarray, "rows components"]:
+        """Of the lowest band. The constant grows with the root of the length."""
         prior = self.slow[slow_bins(rows)].astype(np.int64)
         prior[0] += magnitude(np.array(rows - 1)) // 2
-        return prior - level_of_step(step_index)
+        return prior - step_level
 
-    def fast_prior(self, rows: int, octave: int, step_index: int) -> Int[np.ndarray, "rows components"]:
+    def fast_prior(self, rows: int, octave: int, step_level: int) -> Int[np.ndarray, "rows components"]:
         at = self.fast[min(octave, len(self.fast) - 1)].astype(np.int64)
-        return np.broadcast_to(at - level_of_step(step_index), (rows, self.components))
+        return np.broadcast_to(at - step_level, (rows, self.components))
+
+    def typical(self, octaves: int, step_level: int) -> list[Int[np.ndarray, "rows components"]]:
+        """Of all bands of a clip of typical length; of the octaves' rows, which are alike, one."""
+        fast = [self.fast_prior(1, octave, step_level) for octave in range(octaves)]
+        return [self.slow_prior(_TYPICAL_ROWS, step_level), *fast]
 
 
-def level_of_step(step_index: int) -> int:
-    """16 log2 of the step in cm."""
-    return step_index - 7 * OCTAVE
+@dataclass(frozen=True, eq=False)
+class Leftover:
+    """What `levels` of a coarser step left over, of what was expected before they were known."""
+
+    before: Expectation
+    levels: list[Int[np.ndarray, "rows components"]]
+    step_level: int
+
+    @property
+    def components(self) -> int:
+        return self.before.components
+
+    def slow_prior(self, rows: int, step_level: int) -> Int[np.ndarray, "rows components"]:
+        return self._prior(self.before.slow_prior(rows, step_level), 0, step_level)
+
+    def fast_prior(self, rows: int, octave: int, step_level: int) -> Int[np.ndarray, "rows components"]:
+        return self._prior(self.before.fast_prior(rows, octave, step_level), octave + 1, step_level)
+
+    def typical(self, octaves: int, step_level: int) -> list[Int[np.ndarray, "rows components"]]:
+        return self.before.typical(octaves, step_level)
+
+    def _prior(self, before: Int[np.ndarray, "rows components"], band: int, step_level: int) -> np.ndarray:
+        """Of what was zero, no more than a part of the coarser step is left; of what was not, about as much as of others."""
+        coarser = self.step_level - step_level
+        return np.where(self.levels[band] != 0, coarser + _OF_NONZERO, np.minimum(before, coarser + _OF_ZERO))
 
 
 @functools.lru_cache(maxsize=64)

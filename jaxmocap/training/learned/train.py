@@ -1,8 +1,9 @@
-"""Training of `learned`, in resumable stages: mean pose, moments, then densities on levels that they helped to choose.
+"""Training of `learned`, in resumable stages: mean pose, moments, basis, then densities on levels that they helped to choose.
 
-Densities are first fitted to plainly quantised levels, then twice to levels that the encoder chose with the densities so
-far, since what is optimal to code has other statistics than what is merely rounded. Steps are drawn log-uniformly, and
-are an input, so that one model serves all rates.
+Densities are first fitted to plainly quantised levels; with them the basis is refined by gradients through rate and
+kinematics. Then they are fitted twice to levels that the encoder chose with the densities so far, since what is optimal
+to code has other statistics than what is merely rounded. Steps are drawn log-uniformly, and are an input, so that one
+model serves all rates.
 """
 
 from __future__ import annotations
@@ -14,23 +15,24 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from ...codecs.artifact import Artifact, make_artifact
 from ...codecs.learned import bands
+from ...codecs.learned.attempt import Attempt, Source
 from ...codecs.learned.basis import Basis, direction_of
 from ...codecs.learned.coefficients import Densities, Levels, active_components
 from ...codecs.learned.constants import constants_of
 from ...codecs.learned.contexts import FAST_INPUTS, SLOW_INPUTS
 from ...codecs.learned.density import Density, logistic_table, tail_table
 from ...codecs.learned.distortion import METRICS, Metric
-from ...codecs.learned.encoder import Attempt, Source
 from ...codecs.learned.figure import in_cm
 from ...codecs.learned.klt import jacobian_moment, weighted_klt
 from ...codecs.learned.model import LearnedModel
 from ...codecs.learned.optimise import WEIGHT
 from ...codecs.learned.pose_vectors import PoseVectors
 from ...codecs.learned.spectrum import Spectrum, fit_spectrum
-from ...codecs.quantise import PER_OCTAVE, step_cm
+from ...codecs.learned.steps import index_of, step_cm
 from ...codecs.rig import Rig, bones_of, with_bones
 from ...errors import FormatError
 from ...motion import Motion
@@ -41,27 +43,29 @@ from ..rigs import fit_rig
 from . import densities as fit
 from .augmentation import mirror_axis, mirrored
 from .bones import fit_bones
+from .refinement import Refinement, draw_batch
 from .rows import Rows, empty, joined, rows_of
 
 HIDDEN = 48
 _EPOCHS = {"plain": 4, "optimal": 4, "final": 12}
 _ROUNDS = 12
-_STEPS = {  # ranges of step indices
-    "plain": (1 * PER_OCTAVE, 12 * PER_OCTAVE),
-    "optimal": (3 * PER_OCTAVE, 12 * PER_OCTAVE),
-    "final": (1 * PER_OCTAVE, 12 * PER_OCTAVE),
-}
+_STEPS_CM = {"plain": (1 / 64, 32.0), "optimal": (1 / 16, 32.0), "final": (1 / 64, 32.0)}
+_FINE_STEPS_CM, _FINE_SHARE = (1 / 512, 1 / 64), 0.1  # fine steps are asked for seldom
+_REFINING, _STEPS_AT_ONCE = 25, 20  # the basis is refined by at most so many times so many steps
+_CLIPS, _CROP = 8, 256  # clips a step, and their frames
+_FRAMES_FOR_STEPS = 6000  # the corpus must have, for _STEPS_AT_ONCE steps not to learn it by heart
 _DRAWS = {"plain": 2, "optimal": 1, "final": 1}
 _HELD_OUT = 7  # every seventh file says when to stop
 
 
+@threadpool_limits.wrap(limits=1)  # the last bits of a BLAS depend on its threads, and models must not
 def train_learned(corpus: Corpus, checkpoint: Path) -> tuple[Artifact, dict]:
     """The model of a corpus of one rig, and a report: bits a level by epoch, on training and held-out files.
 
     Raises FormatError where the corpus has several rigs.
     """
     trainer = Trainer(corpus)
-    state = run(trainer.stages(), checkpoint, f"learned 1 {corpus.digest()}")
+    state = run(trainer.stages(), checkpoint, f"learned 2 {corpus.digest()}")
     model = trainer.model(state)
     spec = {"codec": "learned", "corpus": corpus.digest(), "rig": model.rig.spec()}
     artifact = make_artifact(spec, model.tensors())
@@ -87,6 +91,7 @@ class Trainer:
         self.files = corpus.files
         self._analysed: dict[int, tuple[PoseVectors, np.ndarray, np.ndarray]] = {}
         self._rows_made: tuple[str, dict[str, tuple[Rows, Rows]]] = ("", {})
+        self._refinement_made: Refinement | None = None
         # Where the rig has two sides, every file is there twice: as it is, and mirrored.
         self.items = len(corpus.files) * (2 if _has_sides(rigs[0][0]) else 1)
 
@@ -97,6 +102,8 @@ class Trainer:
         for name, epochs in _EPOCHS.items():
             stages += [Stage(f"{name} levels", files, functools.partial(self._add_levels, name))]
             stages += [Stage(f"{name} densities", 2 * epochs, functools.partial(self._fit_density, name))]
+            if name == "plain":
+                stages += [Stage(f"basis of {m}", _REFINING, functools.partial(self._refine, m)) for m in METRICS]
         return stages
 
     def model(self, state: State) -> LearnedModel:
@@ -144,7 +151,7 @@ class Trainer:
         return {
             **state,
             f"{metric}.mean": basis.mean, f"{metric}.synthesis": basis.synthesis, f"{metric}.turn_cm": np.array([turn_cm]),
-            f"{metric}.slow": spectrum.slow, f"{metric}.fast": spectrum.fast,
+            **_spectrum_state(metric, spectrum),
         }  # fmt: skip
 
     def _add_levels(self, name: str, state: State, item: int) -> State:
@@ -155,7 +162,8 @@ class Trainer:
         for metric in METRICS:
             basis = self._basis(state, metric)
             for draw in range(_DRAWS[name]):
-                index = int(random.integers(*_STEPS[name]))
+                finest, coarsest = _FINE_STEPS_CM if random.random() < _FINE_SHARE else _STEPS_CM[name]
+                index = int(random.integers(index_of(finest), index_of(coarsest)))
                 levels = self._levels(state, metric, basis, item, index, name != "plain")
                 counts = active_components(levels)
                 for b, (band, active) in enumerate(zip(levels, counts, strict=True)):
@@ -172,7 +180,8 @@ class Trainer:
         source = Source(figure, figure, path, body, octaves, basis, metric, self._densities(state))
         optimiser = Attempt(source, index).optimiser
         for _ in range(_ROUNDS):
-            optimiser.round(WEIGHT)
+            optimiser.look()
+            optimiser.move(WEIGHT)
         return optimiser.levels
 
     def _fit_density(self, name: str, state: State, item: int) -> State:
@@ -196,6 +205,36 @@ class Trainer:
         if held <= curve[:, 1].min():
             state = {**state, **_flatten(density, f"{which}.best")}
         return state
+
+    def _refine(self, metric: Metric, state: State, item: int) -> State:
+        """Some steps of the basis down the gradient of rate and distortion."""
+        name, items = f"refined.{metric}", min(int(state["frames"].sum()) // _FRAMES_FOR_STEPS, _REFINING)
+        if item >= items:
+            return state
+        clips = [self._vectors(state, n)[1:] for n in range(self.items)]
+        refinement = self._refinement(state, metric, items * _STEPS_AT_ONCE)
+        at = refinement.start()
+        at = _unflatten(at, state, name) if item else at
+        losses = []
+        for n in range(_STEPS_AT_ONCE):
+            key = jax.random.key(item * _STEPS_AT_ONCE + n)
+            at, metrics = refinement.step(at, draw_batch(clips, _CLIPS, _CROP, key), key)
+            losses.append(float(metrics.loss))
+        curve = np.append(state.get(f"curve.basis.{metric}", np.zeros(0)), np.mean(losses))
+        state = {**state, f"curve.basis.{metric}": curve, **_flatten(at, name)}
+        if item < items - 1:
+            return state
+        basis = refinement.finish(at, clips)
+        kept = {key: value for key, value in state.items() if not key.startswith(name)}
+        return {**kept, f"{metric}.synthesis": basis.synthesis, **_spectrum_state(metric, basis.spectrum)}
+
+    def _refinement(self, state: State, metric: Metric, steps: int) -> Refinement:
+        """Made once a stage, so that its step is compiled once."""
+        if self._refinement_made is None or self._refinement_made.metric != metric:
+            figure, octaves = self._vectors(state, 0)[0], self._octaves(state)
+            parts = (figure, metric, octaves, self._basis(state, metric), self._densities(state))
+            self._refinement_made = Refinement(*parts, steps)
+        return self._refinement_made
 
     def _rows(self, state: State, name: str) -> dict[str, tuple[Rows, Rows]]:
         """Rows for training and rows held out, of either network; made once a stage."""
@@ -266,6 +305,10 @@ class Trainer:
             return _unflatten(self._density(state, which), state, f"{which}.best").freeze()
 
         return Densities(best("slow"), best("fast"), logistic_table(), tail_table())
+
+
+def _spectrum_state(metric: Metric, spectrum: Spectrum) -> State:
+    return {f"{metric}.slow": spectrum.slow, f"{metric}.fast": spectrum.fast}
 
 
 def _rounded(x: np.ndarray, to: type[np.floating]) -> np.ndarray:
