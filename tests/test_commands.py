@@ -88,7 +88,7 @@ def test_a_beginning_of_a_progressive_stream_decodes(files: Path, capsys: pytest
     assert "byte" in refusal(capsys, "decode", front, "-o", files / "front.bvh")
     report(capsys, "decode", front, "-o", files / "front.bvh", "--quality", 1)
     coarse = report(capsys, "compare", source, files / "front.bvh", *UNIT)
-    assert 0.5 < coarse["shell_mean_cm"] <= 1.0
+    assert 0.5 < coarse["shell_mean_cm"] <= 1.1
     assert "qualities 1 to 2" in refusal(capsys, "decode", stream, "-o", files / "front.bvh", "--quality", 3)
     refused = refusal(capsys, "encode", source, "-o", stream, "--codec", "lsdt-clip", "--qualities", 2)
     assert "--qualities is for codecs that take it" in refused

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 from ..errors import CorruptStream, JaxmocapError, UnsupportedVersion
 from .bitstream import ByteReader, varint
+from .released import RELEASED
 
 MAGIC = b"JMC"
 _DATABASE_MAGIC = b"JMD"
@@ -22,7 +23,8 @@ DIGEST_BYTES = 4
 
 _UNIT_OF_MODEL, _UNIT_UNKNOWN, _UNIT_STATED = 0, 1, 2
 _FRAME_TIME_STATED, _MODEL_EMBEDDED, _MANY_CHUNKS, _MANY_LAYERS = 4, 8, 16, 32
-_KNOWN_FLAGS = 3 | _FRAME_TIME_STATED | _MODEL_EMBEDDED | _MANY_CHUNKS | _MANY_LAYERS
+_MODEL_NUMBERED = 64
+_KNOWN_FLAGS = 3 | _FRAME_TIME_STATED | _MODEL_EMBEDDED | _MANY_CHUNKS | _MANY_LAYERS | _MODEL_NUMBERED
 _MOST_LAYERS = 16
 
 
@@ -31,8 +33,9 @@ class Header:
     """All of a stream that is not coded motion.
 
     `codec` is the number of the codec (0..31), `params` its settings (0..7 bytes). `digest` is the start of the SHA-256
-    of the model that the decoder needs, unless that model is embedded. `frame_time` (s) and `unit_cm` are None where the
-    model's own hold; a `unit_cm` of 0 says that nobody knows the unit. A chunk holds `chunk_frames` frames, the last the rest.
+    of the model that the decoder needs, unless that model is embedded; of a released model its number is written instead.
+    `frame_time` (s) and `unit_cm` are None where the model's own hold; a `unit_cm` of 0 says that nobody knows the unit.
+    A chunk holds `chunk_frames` frames, the last the rest.
     With `layers` all chunks are there so many times: first as coarse as can be, then what makes them finer.
     """
 
@@ -95,9 +98,11 @@ def write_stream(header: Header, chunks: list[bytes]) -> bytes:
     unit = _UNIT_OF_MODEL if header.unit_cm is None else _UNIT_UNKNOWN if header.unit_cm == 0 else _UNIT_STATED
     flags = unit | _FRAME_TIME_STATED * (header.frame_time is not None) | _MANY_CHUNKS * many
     flags |= _MODEL_EMBEDDED * (header.model is not None) | _MANY_LAYERS * (header.layers > 1)
+    number = RELEASED.index(header.digest) if header.model is None and header.digest in RELEASED else None
+    flags |= _MODEL_NUMBERED * (number is not None)
     out = bytearray(MAGIC)
     out += bytes([VERSION, header.codec | len(header.params) << 5, flags]) + header.params
-    out += b"" if header.model is not None else header.digest
+    out += b"" if header.model is not None else header.digest if number is None else bytes([number])
     out += varint(header.frames)
     out += varint(header.chunk_frames) if many else b""
     out += varint(header.layers) if header.layers > 1 else b""
@@ -140,10 +145,11 @@ def _read_checked(reader: ByteReader, wanted: int | None) -> Stream:
         raise UnsupportedVersion(f"the stream has format {version}, this jaxmocap reads 1 to {VERSION}: upgrade")
     codec = reader.byte()
     flags = reader.byte()
-    if flags & ~_KNOWN_FLAGS or flags & 3 == 3:
+    both = _MODEL_EMBEDDED | _MODEL_NUMBERED
+    if flags & ~_KNOWN_FLAGS or flags & 3 == 3 or flags & both == both:
         raise UnsupportedVersion(f"the stream sets flags {flags:#04x}, this jaxmocap knows {_KNOWN_FLAGS:#04x}: upgrade")
     params = reader.take(codec >> 5)
-    digest = b"" if flags & _MODEL_EMBEDDED else reader.take(DIGEST_BYTES)
+    digest = _read_digest(reader, flags)
     frames = reader.varint()
     chunk_frames = reader.varint() if flags & _MANY_CHUNKS else frames
     if not 0 < chunk_frames <= frames or (flags & _MANY_CHUNKS and chunk_frames == frames):
@@ -176,6 +182,17 @@ def _read_checked(reader: ByteReader, wanted: int | None) -> Stream:
     if reader.left and len(taken) == len(lengths):
         raise CorruptStream(f"{reader.left} bytes follow the last chunk")
     return Stream(header, reader.data, header_crc, tuple(spans))
+
+
+def _read_digest(reader: ByteReader, flags: int) -> bytes:
+    if flags & _MODEL_EMBEDDED:
+        return b""
+    if not flags & _MODEL_NUMBERED:
+        return reader.take(DIGEST_BYTES)
+    number = reader.byte()
+    if number >= len(RELEASED):
+        raise UnsupportedVersion(f"the stream needs released model {number}, this jaxmocap knows {len(RELEASED)}: upgrade")
+    return RELEASED[number]
 
 
 def _positive(value: float, name: str) -> float:

@@ -66,7 +66,7 @@ class Source:
 
     @functools.cached_property
     def expectation(self) -> Expectation:
-        return expectation_of(self.basis.spectrum, self.coarser)
+        return expectation_of(self.basis.spectrum, self.coarser, self.densities)
 
     @functools.cached_property
     def distortion(self) -> Distortion:

@@ -54,7 +54,7 @@ class Learned(AbstractCodec):
 
     `metric` says what the target is an error of: "joints" their positions, "shell" three points 3 cm from each, which see
     twist and the rotations of leaves, too. `embed` puts the model itself into every stream. With `qualities` the stream
-    is progressive: its beginnings decode, too, to motions whose error is twice as large for each that is left out.
+    is progressive: its beginnings decode, too, to motions whose error is 2.2 times as large for each that is left out.
     """
 
     artifact: Artifact = eqx.field(static=True)

@@ -11,14 +11,16 @@ from jaxtyping import Int
 from ...errors import CorruptStream
 from ..entropy import integers
 from ..entropy.range_coder import Decoder, Encoder
+from ..entropy.tables import TOTAL
 from .bands import band_rows
-from .contexts import PATH, BandContexts, fast_contexts, groups, magnitude, slow_activity, slow_contexts
+from .contexts import OCTAVE, PATH, BandContexts, fast_contexts, groups, magnitude, slow_activity, slow_contexts
 from .density import FrozenDensity, bits, stop_frequencies, tail_rows
 from .golomb import read_signed, write_signed
-from .spectrum import Expectation
+from .spectrum import Expectation, Leftover, Spectrum
 from .steps import level_of_step
 
 _COUNT_ORDER = 2
+_LEFT_OF_NONZERO, _LEFT_OF_ZERO, _LAPLACE = -24, -24, 56  # in sixteenths of an octave of the step
 _LIKELY = -32  # components expected to reach a quarter of a step are expected to be there at all
 
 
@@ -57,6 +59,22 @@ def band_contexts(levels: Levels, expectation: Expectation, step_index: int, cou
         yield fast_contexts(prior, level, octave, parents)
         if len(levels[octave + 1]):  # short clips have nothing in their coarsest octaves, but have in finer ones
             parents = magnitude(levels[octave + 1])
+
+
+def leftover(levels: Levels, before: Expectation, spectrum: Spectrum, step_index: int, densities: Densities) -> Leftover:
+    """What these levels leave over, where `before` was expected of them.
+
+    Of what is not zero about as much as of uniform noise; of a zero the less, the surer it was to be one.
+    """
+    counts, sizes, step = active_components(levels), [], level_of_step(step_index)
+    for band, count, contexts in zip(levels, counts, band_contexts(levels, before, step_index, counts), strict=True):
+        outputs = densities.of(contexts)(contexts.inputs_of(magnitude(band[:, :count])))
+        nonzero = TOTAL - stop_frequencies(outputs, densities.logistic)[:, 0]
+        octaves = OCTAVE * 16 - magnitude(nonzero - 1)  # of its chance, in sixteenths; a Laplacian's, it is that over its size
+        of_zero = np.full(band.shape, _LEFT_OF_ZERO - magnitude(np.array(16 * OCTAVE)))
+        of_zero[:, :count] = np.minimum(_LEFT_OF_ZERO, _LAPLACE - magnitude(octaves)).reshape(len(band), count)
+        sizes.append(step + np.where(band != 0, _LEFT_OF_NONZERO, of_zero))
+    return Leftover(spectrum, sizes)
 
 
 def level_bits(levels: Levels, expectation: Expectation, step_index: int, densities: Densities) -> float:

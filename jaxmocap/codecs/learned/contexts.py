@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
+from typing import Generic
 
 import jax.numpy as jnp
 import numpy as np
@@ -56,7 +57,7 @@ def smooth_magnitude(levels: Float[Array, "..."]) -> Float[Array, "..."]:
     return OCTAVE * jnp.log2(1 + jnp.abs(levels))
 
 
-def expected(prior: np.ndarray | Array) -> np.ndarray | Array:
+def expected(prior: A) -> A:
     """About the magnitude of a level whose scale is 2^(prior / 16) steps; of JAX's priors with no jumps."""
     if isinstance(prior, np.ndarray):
         return np.maximum(prior, 0) + (OCTAVE >> np.minimum(np.abs(prior) // OCTAVE, 5))
@@ -113,28 +114,46 @@ def groups(rows: int, components: int, slow: bool) -> tuple[np.ndarray, ...]:
     return tuple(np.split(order, np.flatnonzero(np.diff(key[order])) + 1)) if len(order) else ()
 
 
-@dataclass(frozen=True)
-class BandContexts:
-    """`fixed` holds the inputs that are known before the band: (places, inputs). `expected` is (rows, components)."""
+@dataclass(frozen=True, eq=False)
+class BandContexts(Generic[A]):
+    """Of a band whose priors are `prior`, clipped, and `expected` as magnitudes: both (rows, components).
 
-    slow: bool
-    fixed: np.ndarray | Array
-    expected: np.ndarray | Array
-    neighbours: Neighbours
+    `parents` are the magnitudes of the octave below, or of the lowest band over time; the lowest band has none. `octave`
+    0 is the lowest octave, `quarter` a quarter of 16 log2 of the step in cm.
+    """
+
+    prior: A
+    quarter: int | Array
+    octave: int = 0
+    parents: A | None = None
+
+    @property
+    def slow(self) -> bool:
+        return self.parents is None
+
+    @functools.cached_property
+    def neighbours(self) -> Neighbours:
+        return Neighbours.of(*self.prior.shape)
+
+    @functools.cached_property
+    def expected(self) -> A:
+        return expected(self.prior)
+
+    @functools.cached_property
+    def fixed(self) -> A:
+        """The inputs that are known before the band: (places, inputs)."""
+        return self._fixed_at(slice(None))
 
     def inputs(self, own: A, excess: A, where: np.ndarray | slice) -> A:
         """The network's inputs at these places; `own` and `excess` are the padded magnitudes, plain and less expected."""
-        n = self.neighbours
-        base = n.base[where][:, None]
-        parts = [self.fixed[where], excess[base + n.steps(SLOW_OTHERS if self.slow else FAST_OTHERS)]]
-        if self.slow:
-            parts.insert(1, own[base + n.steps(SLOW_OWN)])
-        return namespace(own).concatenate(parts, 1)
+        return self._inputs(self.fixed[where], own, excess, where)
 
-    def inputs_of(self, magnitudes: A, where: np.ndarray | slice = slice(None)) -> A:
-        """The inputs of these places, once all magnitudes are known: (places, inputs)."""
+    def inputs_of(self, magnitudes: A, where: np.ndarray | None = None) -> A:
+        """The inputs of these places, or of all, once all magnitudes are known: (places, inputs)."""
         n = self.neighbours
-        return self.inputs(n.padded(magnitudes), n.padded(magnitudes - self.expected), where)
+        fixed = self.fixed if where is None else self._fixed_at(where)
+        own, excess = n.padded(magnitudes), n.padded(magnitudes - self.expected)
+        return self._inputs(fixed, own, excess, slice(None) if where is None else where)
 
     def smooth_inputs(self, magnitudes: Float[Array, "rows components"]) -> Float[Array, "places inputs"]:
         """The same of all places, for gradients."""
@@ -143,52 +162,51 @@ class BandContexts:
         parts = [n.around(magnitudes, SLOW_OWN), near] if self.slow else [near]
         return jnp.concatenate([self.fixed, *(x.reshape(-1, x.shape[-1]) for x in parts)], 1)
 
+    def _inputs(self, fixed: A, own: A, excess: A, where: np.ndarray | slice) -> A:
+        base = self.neighbours.base[where][:, None]
+        parts = [fixed, excess[base + self.neighbours.steps(SLOW_OTHERS if self.slow else FAST_OTHERS)]]
+        if self.slow:
+            parts.insert(1, own[base + self.neighbours.steps(SLOW_OWN)])
+        return namespace(own).concatenate(parts, 1)
 
-def slow_contexts(prior: Int[A, "rows components"], step_level: int | Array) -> BandContexts:
+    def _fixed_at(self, where: np.ndarray | slice) -> A:
+        rows, components = self.prior.shape
+        row, component = np.divmod(np.arange(rows * components)[where], max(components, 1))
+        of_row = [magnitude(row) // 2, np.full_like(row, magnitude(np.array(rows)) // 2)]
+        if not self.slow:
+            of_row = [np.full_like(row, OCTAVE * self.octave), OCTAVE * (row % 2)]
+        of_path = [OCTAVE * (component < n) for n in ((PATH, PATH - 1) if self.slow else (PATH,))]
+        xp = namespace(self.prior if self.parents is None else self.parents)
+        own = [self.prior.reshape(-1)[where], component, *of_path, *of_row, xp.broadcast_to(self.quarter, row.shape)]
+        inputs = xp.stack([xp.asarray(x) for x in own], -1)
+        return inputs if self.parents is None else xp.concatenate([inputs, *self._of_parents(where, row, component)], 1)
+
+    def _of_parents(self, where: np.ndarray | slice, row: np.ndarray, component: np.ndarray) -> list[A]:
+        """Magnitudes around the parent of every place, (places, neighbours), and the mean of all of its component."""
+        parents, (of_rows, of_components) = self.parents, self.prior.shape
+        assert parents is not None
+        rows, components = parents.shape
+        n = Neighbours.of(rows, components)
+        same_rate = rows >= of_rows  # the lowest band over time has the rows of the lowest octave, others have half as many
+        parent = np.minimum(row if same_rate else row // 2, rows - 1)
+        if isinstance(parents, np.ndarray):
+            base = n.base[parent * components + component][:, None]
+            return [n.padded(parents)[base + n.steps(PARENTS)], (parents.sum(0) // rows)[component][:, None]]
+        first = np.flatnonzero(component == 0)  # all places: rows by a matrix, as others by slices
+        chosen = jnp.asarray(parent[first][:, None] == np.arange(rows)[None], parents.dtype)
+        near = n.around(parents, PARENTS)[:, :of_components]
+        mean = jnp.broadcast_to(parents.mean(0)[:of_components][None], self.prior.shape)
+        return [(chosen @ near.reshape(rows, -1)).reshape(-1, len(PARENTS)), mean.reshape(-1, 1)]
+
+
+def slow_contexts(prior: Int[A, "rows components"], step_level: int | Array) -> BandContexts[A]:
     """Of the lowest band; `prior` is 16 log2 of what is expected, in steps, `step_level` that of the step in cm."""
-    rows, components = prior.shape
-    xp = namespace(prior)
-    prior = clipped(prior)
-    row, component = np.meshgrid(np.arange(rows), np.arange(components), indexing="ij")
-    fixed = xp.stack([
-        prior, component, OCTAVE * (component < PATH), OCTAVE * (component < PATH - 1), magnitude(row) // 2,
-        np.full_like(row, magnitude(np.array(rows)) // 2), xp.broadcast_to(_quarter(step_level), row.shape),
-    ], -1)  # fmt: skip
-    fixed = fixed.reshape(rows * components, fixed.shape[-1])
-    return BandContexts(True, fixed, expected(prior), Neighbours.of(rows, components))
+    return BandContexts(clipped(prior), _quarter(step_level))
 
 
-def fast_contexts(
-    prior: Int[A, "rows components"], step_level: int | Array, octave: int, parents: A
-) -> BandContexts:
+def fast_contexts(prior: Int[A, "rows components"], step_level: int | Array, octave: int, parents: A) -> BandContexts[A]:
     """Of an octave (0: the lowest); `parents` are the magnitudes of the octave below, or of the lowest band over time."""
-    rows, components = prior.shape
-    xp = namespace(parents)
-    prior = clipped(prior)
-    row, component = np.meshgrid(np.arange(rows), np.arange(components), indexing="ij")
-    near = _near_parents(parents, row, component)
-    mean = parents.sum(0)[:components] // len(parents) if xp is np else parents.mean(0)[:components]
-    mean = xp.broadcast_to(mean[None], (rows, components)).reshape(-1, 1)
-    fixed = xp.stack([
-        prior, component, OCTAVE * (component < PATH), np.full_like(row, OCTAVE * octave), OCTAVE * (row % 2),
-        xp.broadcast_to(_quarter(step_level), row.shape),
-    ], -1)  # fmt: skip
-    whole = xp.concatenate([xp.asarray(fixed.reshape(rows * components, fixed.shape[-1])), near, mean], 1)
-    return BandContexts(False, whole, expected(prior), Neighbours.of(rows, components))
-
-
-def _near_parents(parents: np.ndarray | Array, row: np.ndarray, component: np.ndarray) -> np.ndarray | Array:
-    """Magnitudes around the parent of every place: (places, neighbours)."""
-    rows, components = parents.shape
-    n = Neighbours.of(rows, components)
-    same_rate = rows >= len(row)  # the lowest band over time has the rows of the lowest octave, others have half as many
-    parent = np.minimum(row if same_rate else row // 2, rows - 1)
-    if isinstance(parents, np.ndarray):
-        base = n.base[(parent * components + component).ravel()][:, None]
-        return n.padded(parents)[base + n.steps(PARENTS)]
-    chosen = jnp.asarray(parent[:, :1] == np.arange(rows)[None], parents.dtype)  # rows by a matrix, as others by slices
-    near = n.around(parents, PARENTS)[:, : row.shape[1]]
-    return (chosen @ near.reshape(rows, -1)).reshape(-1, len(PARENTS))
+    return BandContexts(clipped(prior), _quarter(step_level), octave, parents)
 
 
 def _quarter(level: int | Array) -> int | Array:

@@ -11,6 +11,8 @@ from .bounded import encode_to_max
 from .payload import Coded
 from .steps import STEPS, coarsest_within, index_of
 
+QUALITIES_APART = 2.2  # times the error: a beginning of half the length then holds the quality before the last
+
 
 def typical_mean(target: Target) -> float:
     """About the mean error that a stream for the target has, in cm."""
@@ -54,11 +56,11 @@ def encode_to(source: Source, target: Target) -> Coded:
 
 
 def encode_in_layers(source: Source, target: Target, qualities: int) -> tuple[Coded, ...]:
-    """The target's layer comes last; each before it is for twice the error of the next."""
+    """The target's layer comes last; each before it is for a larger error than the next, and takes about half of the bytes."""
     for n in reversed(range(qualities)):
         here = target
         if n:
             kind = "step" if target.kind == "step" else "mean"
-            here = Target(kind, (target.cm if kind == target.kind else typical_mean(target)) * 2.0**n)
+            here = Target(kind, (target.cm if kind == target.kind else typical_mean(target)) * QUALITIES_APART**n)
         source = replace(source, coarser=(*source.coarser, encode_to(source, here)))
     return source.coarser

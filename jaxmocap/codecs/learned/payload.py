@@ -16,11 +16,11 @@ from ..entropy import integers
 from ..entropy.range_coder import RangeDecoder, RangeEncoder
 from . import bands
 from .basis import DIRECTIONS, Basis
-from .coefficients import Densities, Levels, decode_levels, encode_levels
+from .coefficients import Densities, Levels, decode_levels, encode_levels, leftover
 from .corrections import NO_CORRECTIONS, Corrections, decode_corrections, encode_corrections
 from .jumps import Jumps, decode_jumps, encode_jumps
-from .spectrum import Expectation, Leftover, Spectrum
-from .steps import STEP_BITS, level_of_step, step_cm
+from .spectrum import Expectation, Spectrum
+from .steps import STEP_BITS, step_cm
 
 _DIRECTION_BITS = DIRECTIONS.bit_length() - 1
 
@@ -54,11 +54,11 @@ def coefficients_of(layers: Sequence[Coded]) -> Float[np.ndarray, "frames compon
     return sum((layer.coefficients() for layer in layers), 0.0)
 
 
-def expectation_of(spectrum: Spectrum, coarser: Sequence[Coded]) -> Expectation:
+def expectation_of(spectrum: Spectrum, coarser: Sequence[Coded], densities: Densities) -> Expectation:
     """Of a layer's levels, once all coarser layers are known."""
     expectation: Expectation = spectrum
     for layer in coarser:
-        expectation = Leftover(expectation, layer.levels, level_of_step(layer.step_index))
+        expectation = leftover(layer.levels, expectation, spectrum, layer.step_index, densities)
     return expectation
 
 
@@ -71,7 +71,8 @@ def write_payload(coded: Coded, coarser: Sequence[Coded], basis: Basis, densitie
     if not coarser:
         encoder.encode_bits(coded.direction, _DIRECTION_BITS)
         encode_jumps(encoder, coded.jumps, basis.spectrum, coded.step_index, densities)
-    encode_levels(encoder, coded.levels, expectation_of(basis.spectrum, coarser), coded.step_index, densities)
+    expectation = expectation_of(basis.spectrum, coarser, densities)
+    encode_levels(encoder, coded.levels, expectation, coded.step_index, densities)
     frames, octaves = sum(len(band) for band in coded.levels), len(coded.levels) - 1
     encode_corrections(encoder, coded.corrections, frames, octaves, basis.components)
     return encoder.finish()
@@ -88,6 +89,7 @@ def read_payload(
     else:
         direction = decoder.decode_bits(_DIRECTION_BITS)
         jumps = decode_jumps(decoder, frames, basis.spectrum, step_index, densities)
-    levels = decode_levels(decoder, frames, octaves, expectation_of(basis.spectrum, coarser), step_index, densities)
+    expectation = expectation_of(basis.spectrum, coarser, densities)
+    levels = decode_levels(decoder, frames, octaves, expectation, step_index, densities)
     corrections = decode_corrections(decoder, frames, octaves, basis.components)
     return Coded(step_index, direction, jumps, levels, corrections)

@@ -117,14 +117,18 @@ def _usual_fineness(mean_cm: float) -> int:
 
 def _bone_fineness(sources: list[Source], model: LearnedModel, mean_cm: float) -> int:
     """The fineness of bones that costs least: their bytes, and those that their error takes from what levels may err."""
-    usual = _usual_fineness(mean_cm)
+    finenesses = range(_usual_fineness(mean_cm) - 2, _usual_fineness(mean_cm) + 2)
+    made = {fineness: _bones(sources[0].original, model, fineness) for fineness in finenesses}
+    if is_somebody(made[finenesses[0]][0]):
+        return finenesses[0]
     levels = sum(rough_bytes(source, mean_cm) for source in sources)
-    costs = {}
-    for fineness in range(usual - 2, usual + 2):
-        section, figure = _bones(sources[0].original, model, fineness)
+
+    def cost(fineness: int) -> float:
+        section, figure = made[fineness]
         errors = replace(sources[0], decoding=figure).distortion.errors(sources[0].coefficients)
-        costs[fineness] = len(section) + levels * (float(errors.mean()) / mean_cm) ** 2 / 2
-    return min(costs, key=lambda fineness: costs[fineness])
+        return len(section) + levels * (float(errors.mean()) / mean_cm) ** 2 / 2
+
+    return min(finenesses, key=cost)
 
 
 def _bones(original: PoseVectors, model: LearnedModel, fineness: int) -> tuple[bytes, PoseVectors]:

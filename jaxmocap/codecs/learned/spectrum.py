@@ -1,6 +1,6 @@
 """How large every component is expected to be in every band: what the corpus knows of its motion's spectrum.
 
-Where coarser levels are known, what they left over is expected to be small beside their step.
+Where coarser layers are known, it is what they leave over that is expected.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ from .contexts import OCTAVE, magnitude
 SLOW_BINS = 19  # the constant, then half octaves of frequency up
 FAST_OCTAVES = 5
 _TYPICAL_ROWS = 1 << 10  # of the lowest band
-_OF_NONZERO, _OF_ZERO = -2 * OCTAVE, -2 * OCTAVE  # beside the coarser step
 _FIRST_BIN = 9 * OCTAVE  # log2 of how many half cycles of 1/7.5 s the slowest bin's end has
 
 
@@ -63,29 +62,23 @@ class Spectrum:
 
 @dataclass(frozen=True, eq=False)
 class Leftover:
-    """What `levels` of a coarser step left over, of what was expected before they were known."""
+    """What a layer leaves over of a motion: `sizes` are 16 log2 of mean magnitudes in cm, place by place."""
 
-    before: Expectation
-    levels: list[Int[np.ndarray, "rows components"]]
-    step_level: int
+    before: Spectrum
+    sizes: list[Int[np.ndarray, "rows components"]]
 
     @property
     def components(self) -> int:
         return self.before.components
 
     def slow_prior(self, rows: int, step_level: int) -> Int[np.ndarray, "rows components"]:
-        return self._prior(self.before.slow_prior(rows, step_level), 0, step_level)
+        return self.sizes[0] - step_level
 
     def fast_prior(self, rows: int, octave: int, step_level: int) -> Int[np.ndarray, "rows components"]:
-        return self._prior(self.before.fast_prior(rows, octave, step_level), octave + 1, step_level)
+        return self.sizes[octave + 1] - step_level
 
     def typical(self, octaves: int, step_level: int) -> list[Int[np.ndarray, "rows components"]]:
         return self.before.typical(octaves, step_level)
-
-    def _prior(self, before: Int[np.ndarray, "rows components"], band: int, step_level: int) -> np.ndarray:
-        """Of what was zero, no more than a part of the coarser step is left; of what was not, about as much as of others."""
-        coarser = self.step_level - step_level
-        return np.where(self.levels[band] != 0, coarser + _OF_NONZERO, np.minimum(before, coarser + _OF_ZERO))
 
 
 @functools.lru_cache(maxsize=64)
