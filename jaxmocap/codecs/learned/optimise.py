@@ -25,10 +25,10 @@ _FINE_SLOPE = 6 / np.log(2)  # bits per squared step at high rate: d rate / d (s
 WEIGHT = 0.85  # of distortion against rate, where 1 is the slope of high rates
 _SHARE = 0.3
 _LEAST_CURVATURE = 0.3
-_SOFT = 0.4
+_SOFT = 0.27
 STILL = 1e-4  # cm: components that the motion does not use at all stay unused, so that constant channels do
 _BOLDNESS = 0.8
-_TOO_FAR, _TIMID, _BOLD = 1.03, 0.6, 1.05
+_TOO_FAR, _TIMID, _BOLD = 1.01, 0.6, 1.05
 
 
 class _Seen(NamedTuple):
@@ -48,8 +48,8 @@ class Optimiser:
         curvatures: Float[np.ndarray, " components"], expectation: Expectation, densities: Densities, step_index: int,
     ):  # fmt: skip
         self.octaves, self.distortion, self.expectation, self.densities = octaves, distortion, expectation, densities
-        self.step_index, self.step, self.shift = step_index, step_cm(step_index), shift
-        self.curvature = np.maximum(_BOLDNESS * curvatures, _LEAST_CURVATURE)
+        self.step_index, self.step, self.shift = step_index, step_cm(step_index), np.asarray(shift, np.float32)
+        self.curvature = np.maximum(_BOLDNESS * curvatures, _LEAST_CURVATURE).astype(np.float32)
         self._random = np.random.default_rng(0)
         self._moves = np.abs(y).max(0) > STILL
         wanted = bands.forward(y, octaves)
@@ -60,7 +60,7 @@ class Optimiser:
 
     def reconstruction(self) -> Float[np.ndarray, "frames components"]:
         """All coefficients as they decode, in cm; `shift` is what jumps add to those of the levels."""
-        return bands.inverse([band * self.step for band in self.levels]) + self.shift
+        return bands.inverse([band.astype(np.float32) * np.float32(self.step) for band in self.levels]) + self.shift
 
     def errors(self) -> Float[np.ndarray, "points frames"]:
         return self.distortion.errors(self.reconstruction())
@@ -80,8 +80,8 @@ class Optimiser:
         if self._seen is None:
             raise ValueError("a move must follow a look")
         change = self._seen.pull / (self._seen.curvature * self.curvature)[None]
-        newton = bands.forward(np.where(self._moves, change, 0.0), self.octaves)
-        wanted = [band * self.step - n for band, n in zip(self.levels, newton, strict=True)]
+        newton = bands.forward(np.where(self._moves, change, np.float32(0)), self.octaves)
+        wanted = [band.astype(np.float32) * np.float32(self.step) - n for band, n in zip(self.levels, newton, strict=True)]
         moved = self.requantised(wanted, weight, self.curvature)
         self.levels = [
             np.where(self._random.random(a.shape) < _SHARE * self._timid, b, a) for a, b in zip(self.levels, moved, strict=True)
