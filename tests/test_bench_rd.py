@@ -177,6 +177,9 @@ def test_report(small: Path, capsys: pytest.CaptureFixture[str]):
         assert row["max_cm"] <= 8.0 and row["factor"] == row["bytes"] / row["bytes_for_mean"]
     (person,) = result["people"]
     assert person["clips"] == ["09_06"] and person["files"] == 2
+    (row,) = person["rows"]
+    assert row["cost"] == row["stranger"]["bytes"] / row["known"]["bytes"] - 1
+    assert row["named"]["bytes"] <= row["known"]["bytes"]
     assert result["rig"]["clips"] == ["09", "10"] and result["rig"]["files"] == 1
     assert {"trained on its rig", "basis in the stream", "quantise, delta, xz"} <= set(result["rig"]["curves"])
     assert not list(small.glob("*.partial"))

@@ -19,7 +19,7 @@ PEERS = {"brotli", "fpzip", "pcodec", "pyppmd", "pysz", "zfpy"}
 OUTSIDE = {
     "core": {"jax", "equinox", "numpy", "scipy", "jaxtyping"},
     "codecs": {"jax", "equinox", "numpy", "scipy", "jaxtyping", "constriction", "safetensors", "threadpoolctl", "zstandard"},
-    "training": {"jax", "equinox", "numpy", "scipy", "jaxtyping", "safetensors", "optax", "matplotlib"},
+    "training": {"jax", "equinox", "numpy", "scipy", "jaxtyping", "safetensors", "optax", "matplotlib", "threadpoolctl"},
     "top": {"jax", "equinox", "numpy", "scipy", "jaxtyping", "matplotlib", "tyro", "tqdm", "zstandard", *PEERS},
 }
 

@@ -351,3 +351,9 @@ def test_learned_wants_one_rig(one_file, tmp_path):
     write_motion(other, tmp_path / "a.bvh")
     with pytest.raises(FormatError, match="2 rigs"):
         train_learned(Corpus.of([*one_file.files, tmp_path]), tmp_path / "checkpoint")
+
+
+def test_a_corpus_of_short_clips_alone_is_refused(tmp_path: Path):
+    write_motion(walk(1, 1.0), tmp_path / "short.bvh")
+    with pytest.raises(FormatError, match="longest file of the corpus has 120 frames"):
+        TRAINERS["lsdt-clip"](Corpus.of([tmp_path], UNIT_CM), tmp_path / "partial")

@@ -32,7 +32,7 @@ _MEANS, _LARGEST = ("mean_cm", "shell_mean_cm"), ("max_cm", "shell_max_cm")
 def methods() -> tuple[dict[str, Method], dict[str, str]]:
     """All columns of the table, and the package that is missing for those that are not among them."""
     made, missing = {name: by_codec(config) for name, config in COLUMNS.items()}, {}
-    made["learned, person not named"] = by_codec(LEARNED, nameless(load_artifact("learned")))
+    made["learned, person not named"] = by_codec(LEARNED, nameless(load_artifact(str(LEARNED["codec"]))))
     for name, peer in PEERS.items():
         try:
             coder = peer()
@@ -56,9 +56,9 @@ def by_codec(config: Config, artifact: Artifact | None = None) -> Method:
 
 
 def nameless(artifact: Artifact) -> Artifact:
-    """The model of `learned` without the people of its corpus: of these, too, bones are then written, and not named."""
-    people = artifact.tensors["bones.people"]
-    return make_artifact(artifact.spec, {**artifact.tensors, "bones.people": people[:0]})
+    """The model without the people of its corpus, if it has any: of these, too, bones are then written, and not named."""
+    people = {name: tensor[:0] for name, tensor in artifact.tensors.items() if name == "bones.people"}
+    return make_artifact(artifact.spec, {**artifact.tensors, **people})
 
 
 def by_positions(coder: ArrayCoder, everies: Sequence[int]) -> Method:

@@ -113,6 +113,12 @@ class _Trainer:
         }
 
     def _fit(self, state: State, item: int) -> State:
+        longest = int(state["frames"].max())
+        if nearest(longest) != CLIP_FRAMES[-1]:
+            raise FormatError(
+                f"the longest file of the corpus has {longest} frames: lsdt-clip learns from clips of {CLIP_FRAMES[-1]}, and "
+                "needs a file of about that many"
+            )
         kept = state["kept"]
         chosen = kept[np.linspace(0, len(kept) - 1, min(SAMPLES, len(kept))).astype(int)]
         samples = jnp.asarray(np.ascontiguousarray(chosen.transpose(2, 0, 1)))

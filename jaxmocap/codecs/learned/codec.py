@@ -11,6 +11,7 @@ from typing import Literal
 
 import equinox as eqx
 import numpy as np
+from jaxtyping import Float
 
 from ...errors import CorruptStream, JaxmocapError
 from ...features.channels import has_euler_orders
@@ -85,15 +86,17 @@ class Learned(AbstractCodec):
         known = model.rig.skeleton.same_rig(motion.skeleton)
         scale = motion.unit_cm or (model.rig.unit_cm if known else 1.0)
         asked = self.target or Target.default(motion)
-        target = aim = Target(asked.kind, asked.cm * scale / motion.scale)
+        aim = Target(asked.kind, asked.cm * scale / motion.scale)
         write = write_known if known else write_own_setting
-        setting, sources = write(motion, scale, model, self.metric, typical_mean(target))
+        setting, sources = write(motion, scale, model, self.metric, typical_mean(aim))
+        original = _points(motion, self.metric, motion.scale)
         while True:
             data = self._stream(motion, model, setting, sources, aim)
-            error = _error(sources, decode(read_stream(data), self.artifact), scale, target)
-            if error <= target.cm:
+            decoded = _points(decode(read_stream(data), self.artifact), self.metric, motion.scale)
+            error = _error(original - decoded, asked.kind)
+            if error <= asked.cm:
                 return data
-            aim = Target(aim.kind, aim.cm * min(0.998, target.cm / error))
+            aim = Target(aim.kind, aim.cm * min(0.998, asked.cm / error))
 
     def decode(self, data: bytes, frames: slice | None = None, quality: int | None = None) -> Motion:
         """With `quality`, from 1 on, as it is after so many layers; bytes beyond them need not be there."""
@@ -178,19 +181,18 @@ def _codable(motion: Motion) -> Motion:
     return Motion.from_positions(positions, s.names, motion.frame_time, s.parents, motion.unit_cm)
 
 
-def _error(sources: list[Source], decoded: Motion, scale: float, target: Target) -> float:
-    """What the target speaks of, in cm, of all that decodes; 0 where it speaks of no error."""
-    if target.kind == "step":
+def _points(motion: Motion, metric: Metric, scale: float) -> Float[np.ndarray, "3 points frames"]:
+    """What the metric looks at, in cm, or in file units where the unit is unknown: as everybody else will measure it."""
+    figure = PoseVectors(in_cm(motion.skeleton, scale), _upright(motion.skeleton))
+    return points_of(figure, metric, *figure.analyse(motion, scale))
+
+
+def _error(difference: Float[np.ndarray, "3 points frames"], kind: str) -> float:
+    """What a target of this kind speaks of; 0 where it speaks of no error."""
+    if kind == "step":
         return 0.0
-    figure = PoseVectors(in_cm(decoded.skeleton, scale), _upright(decoded.skeleton))
-    errors, start = [], 0
-    for source in sources:
-        part = decoded.frames(start, start + len(source.path))
-        points = points_of(figure, source.metric, *figure.analyse(part, scale))
-        errors.append(np.linalg.norm(points - source.distortion.target, axis=0))
-        start += len(source.path)
-    all_errors = np.concatenate(errors, 1)
-    return float(all_errors.mean(dtype=np.float64) if target.kind == "mean" else all_errors.max())
+    errors = np.linalg.norm(difference, axis=0)
+    return float(errors.mean(dtype=np.float64) if kind == "mean" else errors.max())
 
 
 def _upright(skeleton: Skeleton) -> np.ndarray:

@@ -140,7 +140,8 @@ def level_pose(transform: Transform, figure: PoseVectors, coded: Quantised) -> P
 def rate(transform: Transform, vectors: Vectors, octaves: int, key: PRNGKeyArray | None = None) -> Float[Array, ""]:
     """Bits of a motion. Differentiable in all arrays of the transform and of the vectors.
 
-    With noise the rate of levels that are mostly zero is overestimated: noise makes something of every nothing.
+    With noise the rate of levels that are mostly zero is overestimated: noise makes something of every nothing. To make a
+    motion cheaper descend with noise all the same: gradients that pass by rounding say nothing of what is rounded away.
     """
     return level_rate(transform, quantised(transform, vectors, octaves, key))
 

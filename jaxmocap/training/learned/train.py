@@ -192,6 +192,8 @@ class Trainer:
         batches = max(len(rows.sizes) // fit.BATCH, 1)
         steps = batches * epochs
         density = self._density(state, which)
+        if not len(rows.sizes):  # a small corpus may have no levels at all at the steps that were drawn
+            return {**_flatten(density, f"{which}.density"), **_flatten(density, f"{which}.best"), **state}
         optimiser_state = fit.optimiser(steps).init(eqx.filter(density, eqx.is_array))
         if n:
             optimiser_state = _unflatten(optimiser_state, state, f"{which}.optimiser")
