@@ -1,9 +1,12 @@
-"""Forward kinematics: channel values to global joint positions and rotations, jit-compiled and differentiable."""
+"""Forward kinematics: channel values to global joint positions and rotations, jit-compiled and differentiable.
+
+But for `pose`, which is compiled, the functions take numpy arrays as well as JAX's, and give back the same.
+"""
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Generic, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -11,26 +14,27 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from . import components
+from .components import A, namespace
 from .motion import Motion
 from .skeleton import POSITION_CHANNELS, ROTATION_CHANNELS, Skeleton
 
 
-class Pose(NamedTuple):
+class Pose(NamedTuple, Generic[A]):
     """Global joint positions in file units, global rotations, and the positions of the end sites."""
 
-    positions: Float[Array, "... joints 3"]
-    rotations: Float[Array, "... joints 3 3"]
-    ends: Float[Array, "... ends 3"]
+    positions: Float[A, "... joints 3"]
+    rotations: Float[A, "... joints 3 3"]
+    ends: Float[A, "... ends 3"]
 
 
-def local_rotations(skeleton: Skeleton, values: Float[Array, "... channels"]) -> Float[Array, "... joints 3 3"]:
+def local_rotations(skeleton: Skeleton, values: Float[A, "... channels"]) -> Float[A, "... joints 3 3"]:
     """Rotation of every joint in its parent's frame; identity where it has no rotation channel."""
-    return _outward(_local_rotations(skeleton, jnp.moveaxis(values, -1, 0)), 2)
+    return _outward(_local_rotations(skeleton, namespace(values).moveaxis(values, -1, 0)), 2)
 
 
-def forward(skeleton: Skeleton, values: Float[Array, "... channels"]) -> Pose:
+def forward(skeleton: Skeleton, values: Float[A, "... channels"]) -> Pose:
     """Pose of every frame. Differentiable in the values and in the skeleton's offsets."""
-    columns = jnp.moveaxis(values, -1, 0)
+    columns = namespace(values).moveaxis(values, -1, 0)
     return _compose(skeleton, _local_rotations(skeleton, columns), _local_translations(skeleton, columns))
 
 
@@ -44,45 +48,47 @@ def compose(
 # Inside, components and joints lead and frames trail, (3, 3, joints, ...): see components.py.
 
 
-def _inward(x: Array, count: int) -> Array:
+def _inward(x: A, count: int) -> A:
     """From (..., joints, components) to (components, joints, ...)."""
-    return jnp.moveaxis(components.first(x, count), -1, count)
+    return namespace(x).moveaxis(components.first(x, count), -1, count)
 
 
-def _outward(x: Array, count: int) -> Array:
+def _outward(x: A, count: int) -> A:
     """From (components, joints, ...) to (..., joints, components)."""
-    return components.last(jnp.moveaxis(x, count, -1), count)
+    return components.last(namespace(x).moveaxis(x, count, -1), count)
 
 
-def _local_rotations(skeleton: Skeleton, columns: Float[Array, "channels ..."]) -> Float[Array, "3 3 joints ..."]:
+def _local_rotations(skeleton: Skeleton, columns: Float[A, "channels ..."]) -> Float[A, "3 3 joints ..."]:
+    xp = namespace(columns)
     column, axis, used = _rotation_columns(skeleton)
     frames = columns.shape[1:]
-    result = components.identity((skeleton.joint_count, *frames), columns)
+    result: A = components.identity((skeleton.joint_count, *frames), columns)
     for n in range(column.shape[1] if skeleton.has_rotations else 0):
         present = used[:, n].reshape(-1, *[1] * len(frames))
-        about = jnp.asarray(axis[:, n].T.reshape(3, -1, *[1] * len(frames)), columns.dtype)
-        factor = components.about_axis(about, jnp.where(present, jnp.deg2rad(columns[column[:, n]]), 0.0))
+        about = xp.asarray(axis[:, n].T.reshape(3, -1, *[1] * len(frames)), columns.dtype)
+        factor: A = components.about_axis(about, xp.where(present, xp.deg2rad(columns[column[:, n]]), 0.0))
         result = components.multiply(result, factor) if n else factor
     if not skeleton.has_axes:
         return result
-    axes = jnp.asarray(skeleton.axes, columns.dtype).transpose(1, 2, 0).reshape(3, 3, -1, *[1] * len(frames))
+    axes: A = xp.asarray(skeleton.axes, columns.dtype).transpose(1, 2, 0).reshape(3, 3, -1, *[1] * len(frames))
     return components.multiply(components.multiply(axes, result), components.transpose(axes))
 
 
-def _local_translations(skeleton: Skeleton, columns: Float[Array, "channels ..."]) -> Float[Array, "3 joints ..."]:
+def _local_translations(skeleton: Skeleton, columns: Float[A, "channels ..."]) -> Float[A, "3 joints ..."]:
     """Every joint's offset, replaced where it has a position channel."""
+    xp = namespace(columns)
     column, used = _position_columns(skeleton)
     trailing = [1] * (columns.ndim - 1)
-    offsets = jnp.asarray(skeleton.offsets, columns.dtype).T.reshape(3, -1, *trailing)
-    return jnp.where(used.T.reshape(3, -1, *trailing), columns[column.T], offsets)
+    offsets = xp.asarray(skeleton.offsets, columns.dtype).T.reshape(3, -1, *trailing)
+    return xp.where(used.T.reshape(3, -1, *trailing), columns[column.T], offsets)
 
 
-def _compose(skeleton: Skeleton, g: Float[Array, "3 3 joints ..."], t: Float[Array, "3 joints ..."]) -> Pose:
+def _compose(skeleton: Skeleton, g: Float[A, "3 3 joints ..."], t: Float[A, "3 joints ..."]) -> Pose:
     """Every joint is carried to its parent's frame, then to that of its grandparent, then four up: the logarithm of
     the depth in steps, each over all joints at once, where a walk down the tree would take one a joint."""
-    joints = skeleton.joint_count
-    g = jnp.concatenate([g, components.identity((1, *g.shape[3:]), g)], 2)
-    t = jnp.concatenate([t, jnp.zeros_like(t[:, :1])], 1)
+    joints, xp = skeleton.joint_count, namespace(g)
+    g = xp.concatenate([g, components.identity((1, *g.shape[3:]), g)], 2)
+    t = xp.concatenate([t, xp.zeros_like(t[:, :1])], 1)
     ancestor = np.append(np.where(np.array(skeleton.parents) < 0, joints, skeleton.parents), joints)
     for _ in range(math.ceil(math.log2(max(_depth(skeleton), 2)))):
         up = g[:, :, ancestor]
@@ -91,7 +97,7 @@ def _compose(skeleton: Skeleton, g: Float[Array, "3 3 joints ..."], t: Float[Arr
         ancestor = ancestor[ancestor]
     t, g = t[:, :joints], g[:, :, :joints]
     at = np.array(skeleton.end_joints, int)
-    offsets = jnp.asarray(skeleton.end_offsets, g.dtype).T.reshape(3, -1, *[1] * (t.ndim - 2))
+    offsets = xp.asarray(skeleton.end_offsets, g.dtype).T.reshape(3, -1, *[1] * (t.ndim - 2))
     ends = t[:, at] + components.apply(g[:, :, at], offsets)
     return Pose(_outward(t, 1), _outward(g, 2), _outward(ends, 1))
 
