@@ -31,7 +31,7 @@ def streams(draw) -> tuple[Header, list[bytes]]:
         model=model,
         frame_time=draw(st.none() | _numbers),
         unit_cm=draw(st.none() | st.just(0.0) | _numbers),
-        layers=draw(st.sampled_from([1, 1, 2, 3, 16])),
+        layers=draw(st.sampled_from([1, 1, 2, 3, 8])),
     )
     return header, [draw(st.binary(max_size=200)) for _ in range(header.chunk_count * header.layers)]
 

@@ -145,7 +145,7 @@ SIZES = st.sampled_from([0.0, 0.5, 3.0, 200.0])
 @settings(max_examples=60, deadline=None)
 @given(st.integers(1, 48), st.integers(0, 5), st.integers(0, STEPS - 1), st.integers(0, 99), SIZES)
 @example(1, 0, 0, 0, 3.0)
-@example(1, 7, 255, 0, 200.0)
+@example(1, 7, STEPS - 1, 0, 200.0)
 @example(2, 4, ONE_CM, 0, 0.0)
 @example(3, 7, ONE_CM, 1, 3.0)
 def test_levels_return(frames: int, octaves: int, step_index: int, seed: int, size: float):

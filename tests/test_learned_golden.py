@@ -11,7 +11,8 @@ from jaxmocap.codecs import decode, load_artifact
 from jaxmocap.codecs.artifact import Artifact
 from jaxmocap.codecs.container import DIGEST_BYTES, read_stream
 from jaxmocap.codecs.learned import bands
-from jaxmocap.codecs.learned.codec import model_of, params_of, read_layers
+from jaxmocap.codecs.learned.codec import model_of, params_of
+from jaxmocap.codecs.learned.payload import read_layers
 from jaxmocap.codecs.learned.setting import read_setting
 from jaxmocap.codecs.released import RELEASED
 from jaxmocap.kinematics import positions_cm
@@ -31,7 +32,7 @@ def integers_sha256(data: bytes, model: Artifact) -> str:
     for n in range(header.chunk_count):
         frames = min(header.chunk_frames, header.frames - n * header.chunk_frames)
         payloads = [stream.chunk(n, layer) for layer in range(stream.layers)]
-        for coded in read_layers(payloads, frames, octaves, setting.basis, learned):
+        for coded in read_layers(payloads, frames, octaves, setting.basis, learned.densities):
             of_levels = [*coded.levels, *coded.jumps, *coded.corrections]
             for integers in ([coded.step_index, coded.direction], *of_levels):
                 digest.update(np.asarray(integers).astype("<i4").tobytes())

@@ -19,7 +19,7 @@ from jaxmocap.codecs.learned.differentiable import Transform, Vectors, quantised
 from jaxmocap.codecs.learned.figure import in_cm
 from jaxmocap.codecs.learned.jumps import Jumps
 from jaxmocap.codecs.learned.klt import jacobian_moment, weighted_klt
-from jaxmocap.codecs.learned.payload import Coded, read_payload, write_payload
+from jaxmocap.codecs.learned.payload import Coded, read_layers, write_layers
 from jaxmocap.codecs.learned.pose_vectors import PoseVectors
 from jaxmocap.codecs.learned.spectrum import Spectrum, fit_spectrum
 from jaxmocap.codecs.learned.steps import index_of, step_cm
@@ -155,8 +155,8 @@ def test_reconstruction_is_what_the_codec_decodes(case: Case):
     coded = levels_of(transform_of(case), vectors(case), case.octaves)
     none = Jumps(np.zeros(0, np.int64), np.zeros((0, case.basis.components), np.int64))
     written = Coded(STEP_INDEX, int(coded.direction), none, [np.rint(x).astype(np.int64) for x in coded.levels])
-    data = write_payload(written, (), case.basis, case.densities)
-    read = read_payload(data, (), FRAMES, case.octaves, case.basis, case.densities)
+    data = write_layers([written], case.basis, case.densities)
+    (read,) = read_layers(data, FRAMES, case.octaves, case.basis, case.densities)
     decoded = case.figure.values(*case.basis.vectors(read.coefficients(), read.direction), 1.0)
     wanted = pose(case.motion.with_values(decoded))
     found = eqx.filter_jit(reconstruct)(transform_of(case), case.figure, vectors(case), case.octaves)

@@ -16,7 +16,7 @@ from jaxmocap.codecs.learned.klt import weighted_analysis
 from jaxmocap.codecs.learned.model import LearnedModel
 from jaxmocap.codecs.learned.own import OwnBasis, lever_arms, plain, read_own, write_own
 from jaxmocap.codecs.learned.own_fit import fit_own
-from jaxmocap.codecs.learned.payload import read_payload, write_payload
+from jaxmocap.codecs.learned.payload import read_layers, write_layers
 from jaxmocap.codecs.learned.pose_vectors import PoseVectors
 from jaxmocap.codecs.learned.virtual_work import posed
 from jaxmocap.errors import CorruptStream
@@ -87,9 +87,9 @@ def test_what_is_read_is_what_was_written_and_decodes_to_the_target(name: str, m
         np.testing.assert_array_equal(getattr(read, field), getattr(own, field))
     source = source_of(motion, own, basis, metric)
     coded = encode_to(source, Target("mean", 1.0))
-    data = write_payload(coded, (), basis, MODEL.densities)
+    data = write_layers([coded], basis, MODEL.densities)
     decoding = read.basis(skeleton, MODEL, metric)
-    coded = read_payload(data, (), motion.frame_count, source.octaves, decoding, MODEL.densities)
+    (coded,) = read_layers(data, motion.frame_count, source.octaves, decoding, MODEL.densities)
     y = coded.coefficients().astype(np.float32)
     figure = PoseVectors(skeleton, read.mean_pose(skeleton))
     decoded = points_of(figure, metric, *decoding.vectors(y, coded.direction))
@@ -170,5 +170,5 @@ def test_martial_arts_of_another_rig_are_small(data_dir):
     motion = read_motion(data_dir / "cmu_daz" / "martial" / "04.bvh", 1.0)
     own, basis = fitted(motion, "joints")
     coded = encode_to(source_of(motion, own, basis, "joints"), Target("mean", 1.0))
-    levels = write_payload(coded, (), basis, MODEL.densities)
+    (levels,) = write_layers([coded], basis, MODEL.densities)
     assert len(write_own(own, TAIL)) + len(levels) < 1050  # quantise, delta, xz: 3387, SZ3: 4704, without a skeleton

@@ -29,14 +29,16 @@ def ends(stream: Stream) -> list[int]:
 
 @pytest.fixture(scope="module")
 def motion() -> Motion:
-    return walk(seed=5, seconds=1.0)
+    """A walk whose every channel moves a little: of channels at zero the search does not know that they stay there."""
+    still = walk(seed=5, seconds=1.0)
+    return still.with_values(still.values + np.random.default_rng(0).normal(0, 1e-3, still.values.shape))
 
 
 @pytest.mark.parametrize(("kind", "cm"), [("mean", 0.4), ("max", 1.5), ("step", 0.5)])
 def test_every_quality_has_less_error(motion: Motion, kind: str, cm: float):
     data = coded(motion, 3, kind, cm)
     errors = [error(motion, decode(data, quality=n)) for n in (1, 2, 3)]
-    assert errors[0] > 1.2 * errors[1] > 1.4 * errors[2]
+    assert errors[0] > 1.2 * errors[1] and errors[1] > 1.2 * errors[2]
     whole = decode(data)
     np.testing.assert_array_equal(whole.values, decode(data, quality=3).values)
     assert kind == "step" or error(motion, whole, kind) <= cm

@@ -31,8 +31,16 @@ _MEANS, _LARGEST = ("mean_cm", "shell_mean_cm"), ("max_cm", "shell_max_cm")
 
 def methods() -> tuple[dict[str, Method], dict[str, str]]:
     """All columns of the table, and the package that is missing for those that are not among them."""
-    made, missing = {name: by_codec(config) for name, config in COLUMNS.items()}, {}
+    made = {name: by_codec(config) for name, config in COLUMNS.items()}
     made["learned, person not named"] = by_codec(LEARNED, nameless(load_artifact(str(LEARNED["codec"]))))
+    of_peers, missing = peers()
+    return {**made, **of_peers}, missing
+
+
+def peers() -> tuple[dict[str, Method], dict[str, str]]:
+    """Those of the columns that are compressors of arrays, and the package that is missing for others."""
+    made: dict[str, Method] = {}
+    missing: dict[str, str] = {}
     for name, peer in PEERS.items():
         try:
             coder = peer()
@@ -56,7 +64,10 @@ def by_codec(config: Config, artifact: Artifact | None = None) -> Method:
 
 
 def nameless(artifact: Artifact) -> Artifact:
-    """The model without the people of its corpus, if it has any: of these, too, bones are then written, and not named."""
+    """The model without the people of its corpus, if it has any: of these, too, bones are then written, and not named.
+
+    Nor has the model a number, which costs each stream 3 bytes.
+    """
     people = {name: tensor[:0] for name, tensor in artifact.tensors.items() if name == "bones.people"}
     return make_artifact(artifact.spec, {**artifact.tensors, **people})
 

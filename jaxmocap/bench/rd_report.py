@@ -90,8 +90,7 @@ def people(data: Path) -> list[dict]:
 
 def rig(data: Path) -> dict:
     """A rig that the shipped model does not know."""
-    peers = {name: method for name, method in rd.methods()[0].items() if name not in rd.COLUMNS}
-    return {"folder": RIG, **rd_training.rig(data / RIG, rd.LEARNED, peers, TRAINED_CM)}
+    return {"folder": RIG, **rd_training.rig(data / RIG, rd.LEARNED, rd.peers()[0], TRAINED_CM)}
 
 
 def save(result: dict, folder: Path) -> None:

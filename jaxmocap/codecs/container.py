@@ -25,7 +25,7 @@ _UNIT_OF_MODEL, _UNIT_UNKNOWN, _UNIT_STATED = 0, 1, 2
 _FRAME_TIME_STATED, _MODEL_EMBEDDED, _MANY_CHUNKS, _MANY_LAYERS = 4, 8, 16, 32
 _MODEL_NUMBERED = 64
 _KNOWN_FLAGS = 3 | _FRAME_TIME_STATED | _MODEL_EMBEDDED | _MANY_CHUNKS | _MANY_LAYERS | _MODEL_NUMBERED
-_MOST_LAYERS = 16
+MOST_LAYERS = 8
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class Stream:
 
 def write_stream(header: Header, chunks: list[bytes]) -> bytes:
     """The bytes of a stream. Raises ValueError where the chunks do not fit the header."""
-    if len(chunks) != header.chunk_count * header.layers or not 1 <= header.layers <= _MOST_LAYERS or header.frames < 1:
+    if len(chunks) != header.chunk_count * header.layers or not 1 <= header.layers <= MOST_LAYERS or header.frames < 1:
         raise ValueError(
             f"{len(chunks)} chunks for {header.frames} frames in chunks of {header.chunk_frames} and {header.layers} layers"
         )
@@ -155,8 +155,8 @@ def _read_checked(reader: ByteReader, wanted: int | None) -> Stream:
     if not 0 < chunk_frames <= frames or (flags & _MANY_CHUNKS and chunk_frames == frames):
         raise CorruptStream(f"the header speaks of {frames} frames in chunks of {chunk_frames}")
     layers = reader.varint() if flags & _MANY_LAYERS else 1
-    if flags & _MANY_LAYERS and not 2 <= layers <= _MOST_LAYERS:
-        raise CorruptStream(f"the header speaks of {layers} layers, 2 to {_MOST_LAYERS} are possible")
+    if flags & _MANY_LAYERS and not 2 <= layers <= MOST_LAYERS:
+        raise CorruptStream(f"the header speaks of {layers} layers, 2 to {MOST_LAYERS} are possible")
     frame_time = _positive(reader.float64(), "frame time") if flags & _FRAME_TIME_STATED else None
     unit = flags & 3
     unit_cm = None if unit == _UNIT_OF_MODEL else 0.0 if unit == _UNIT_UNKNOWN else _positive(reader.float64(), "unit")

@@ -8,6 +8,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+from ..errors import JaxmocapError
+
 # A coefficient is rounded up from this fraction of a step on: what lies below 1 - 0.33 steps is thresholded to zero,
 # since a nonzero costs more bits than it saves distortion.
 ROUNDING = 0.33
@@ -22,10 +24,10 @@ def step_cm(index: int) -> float:
 
 
 def step_index(cm: float) -> int:
-    """The index of the coarsest step that is not above `cm`. Raises ValueError below the finest."""
+    """The index of the coarsest step that is not above `cm`. Raises JaxmocapError below the finest."""
     index = math.floor((math.log2(cm) - _FINEST_OCTAVE) * PER_OCTAVE + 1e-9) if cm > 0 else -1
     if index < 0:
-        raise ValueError(f"step is {cm} cm, wanted {step_cm(0)} cm or more")
+        raise JaxmocapError(f"the step is {cm} cm, wanted {step_cm(0)} cm or more")
     return min(index, STEPS - 1)
 
 

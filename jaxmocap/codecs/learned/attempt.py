@@ -16,17 +16,17 @@ from .contexts import OCTAVE
 from .distortion import Distortion, Metric
 from .jumps import Jumps, find_jumps
 from .optimise import WEIGHT, Optimiser
-from .payload import Coded, coefficients_of, expectation_of
+from .payload import Coded, coefficients_of, expectation_after
 from .pose_vectors import PoseVectors
 from .spectrum import Expectation
 from .steps import STEPS, step_cm
 
-_POWER, _MEAN_AT_1_CM = 0.73, 0.59  # the mean error is about 0.59 step^0.73, both in cm
+POWER, MEAN_AT_1_CM = 0.73, 0.59  # the mean error is about 0.59 step^0.73, both in cm
 _GAIN = 0.885  # what optimising leaves of the mean error of plain rounding
 
 ROUNDS = 20
 _SETTLING = 10  # rounds in which the weight of errors rises to its own
-_DOUBTS, _TOO_FAR_OFF = 12, 0.8  # the round after which a step may be given up, if it is off by so many steps
+_DOUBTS, _TOO_FAR_OFF = 12, 1.2  # the round after which a step may be given up, if it is off by so many steps
 _LAST_ROUND = 36
 _WEIGHTS, _PROMPT = (0.5, 1.3), 10  # bounds of the weight, and how strongly it answers to the last error
 _AIM, _CLOSE = 0.997, 0.994
@@ -66,7 +66,10 @@ class Source:
 
     @functools.cached_property
     def expectation(self) -> Expectation:
-        return expectation_of(self.basis.spectrum, self.coarser, self.densities)
+        expectation: Expectation = self.basis.spectrum
+        for coded in self.coarser:
+            expectation = expectation_after(coded, expectation, self.basis, self.densities)
+        return expectation
 
     @functools.cached_property
     def distortion(self) -> Distortion:
@@ -148,17 +151,17 @@ def _settled(weight: float, n: int) -> float:
 
 def steps_apart(ratio: float) -> float:
     """How many steps finer the quantiser must be for errors so many times smaller."""
-    return OCTAVE * math.log2(max(ratio, 1e-9)) / _POWER
+    return OCTAVE * math.log2(max(ratio, 1e-9)) / POWER
 
 
 def mean_of_step(step: float) -> float:
     """About the mean error that a step leaves; both in cm."""
-    return _MEAN_AT_1_CM * step**_POWER
+    return MEAN_AT_1_CM * step**POWER
 
 
 def step_of_mean(mean_cm: float) -> float:
     """The step that leaves about this mean error."""
-    return (mean_cm / _MEAN_AT_1_CM) ** (1 / _POWER)
+    return (mean_cm / MEAN_AT_1_CM) ** (1 / POWER)
 
 
 def plain_index(start: int, wanted: float, error: Callable[[int], float]) -> int:

@@ -59,7 +59,6 @@ class Basis:
         body = y[:, PATH:] @ xp.asarray(self.synthesis, y.dtype) + xp.asarray(self.mean, y.dtype)[None]
         return path.astype(y.dtype), body
 
-
     def pull(self, path: np.ndarray, body: np.ndarray, direction: int) -> Float[np.ndarray, "frames components"]:
         """The gradient with respect to coefficients, of that with respect to path and body."""
         angle = turn_of(direction)

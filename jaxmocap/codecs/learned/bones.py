@@ -95,7 +95,7 @@ def read_bones(data: bytes, model: BoneModel, fineness: int, tail: np.ndarray) -
 
 def is_somebody(data: bytes) -> bool:
     """True where these bytes name a person of the corpus, whose bones have no fineness."""
-    return not data or data[0] < MOST_PEOPLE
+    return RangeDecoder(data).decode_bits(_SIZE_BITS) < MOST_PEOPLE
 
 
 def _known_person(bones: np.ndarray, model: BoneModel, octave: int) -> int | None:

@@ -18,6 +18,7 @@ _TYPICAL = 0.75  # of all frames are under the bound when quantised plainly
 _BY_MEAN = 3.0  # how far the largest error of a frame is above the mean, about
 _MOST_SHARE = 0.25
 _FINER = 4
+_PATIENCE = 8  # tries in which the largest error falls no more
 
 
 def encode_to_max(source: Source, cm: float) -> Coded:
@@ -27,11 +28,15 @@ def encode_to_max(source: Source, cm: float) -> Coded:
         return float(np.quantile(Attempt(source, index).optimiser.errors().max(0), _TYPICAL))
 
     index = plain_index(index_of(step_of_mean(cm / _BY_MEAN)), cm, typical)
-    best = None
+    best, least, since = None, np.inf, 0
     for finer in (*range(index, 0, -_FINER), 0):
         attempt = Attempt(source, finer)
         attempt.refine()
         coded, largest = mended(source, attempt.coded(), cm)
+        since = 0 if largest < least else since + 1
+        least = min(largest, least)
+        if best is None and since == _PATIENCE:
+            break
         if largest <= cm:
             best = coded
             extra = correction_bytes(coded.corrections, len(source.path), source.octaves, source.basis.components)

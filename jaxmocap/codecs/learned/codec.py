@@ -21,16 +21,15 @@ from ...motion import Motion
 from ...skeleton import Skeleton
 from ..artifact import Artifact, stream_artifact
 from ..base import AbstractCodec, Target, frame_range
-from ..container import DIGEST_BYTES, Header, Stream, read_stream, write_stream
+from ..container import DIGEST_BYTES, MOST_LAYERS, Header, Stream, read_stream, write_stream
 from . import bands
 from .attempt import Source
-from .basis import Basis
 from .constants import with_constants, write_constants
 from .distortion import METRICS, Metric, points_of
 from .encoder import encode_in_layers, typical_mean
 from .figure import in_cm
 from .model import LearnedModel
-from .payload import Coded, coefficients_of, read_payload, write_payload
+from .payload import coefficients_of, read_layers, write_layers
 from .pose_vectors import PoseVectors
 from .setting import (
     CHUNK_FRAMES,
@@ -47,7 +46,6 @@ from .setting import (
 NUMBER = 2
 _MOST_AT_ONCE = 1 << 23  # joints times frames
 _LARGEST = 1e9  # degrees or file units
-MOST_QUALITIES = 8
 
 
 class Learned(AbstractCodec):
@@ -55,7 +53,7 @@ class Learned(AbstractCodec):
 
     `metric` says what the target is an error of: "joints" their positions, "shell" three points 3 cm from each, which see
     twist and the rotations of leaves, too. `embed` puts the model itself into every stream. With `qualities` the stream
-    is progressive: its beginnings decode, too, to motions whose error is 2.2 times as large for each that is left out.
+    is progressive: its beginnings decode, too, to motions whose mean error is about 2.2 times as large for each left out.
     """
 
     artifact: Artifact = eqx.field(static=True)
@@ -67,8 +65,8 @@ class Learned(AbstractCodec):
     def __check_init__(self) -> None:
         if self.metric not in METRICS:
             raise ValueError(f"metric is {self.metric!r}, wanted one of {METRICS}")
-        if not 1 <= self.qualities <= MOST_QUALITIES:
-            raise ValueError(f"qualities is {self.qualities}, wanted 1 to {MOST_QUALITIES}")
+        if self.qualities not in range(1, MOST_LAYERS + 1):
+            raise ValueError(f"qualities is {self.qualities}, wanted a whole number from 1 to {MOST_LAYERS}")
 
     def config(self) -> dict:
         target = None if self.target is None else {"kind": self.target.kind, "cm": self.target.cm}
@@ -107,11 +105,8 @@ class Learned(AbstractCodec):
     ) -> bytes:
         constants = write_constants(motion, model.constants)
         coded = [encode_in_layers(source, target, self.qualities) for source in sources]
-        chunks = [
-            write_payload(layers[n], layers[:n], setting.basis, model.densities)
-            for n in range(self.qualities)
-            for layers in coded
-        ]
+        payloads = [write_layers(layers, setting.basis, model.densities) for layers in coded]
+        chunks = [of_chunk[n] for n in range(self.qualities) for of_chunk in payloads]
         flags = METRICS.index(self.metric) << 7 | setting.flags | HAS_CONSTANTS * bool(constants)
         rig = model.rig
         header = Header(
@@ -149,7 +144,7 @@ def decode(stream: Stream, at_hand: Artifact | None, frames: slice | None = None
     parts = []
     for n, of_layers in zip(chunks, payloads, strict=True):
         held = min(header.chunk_frames, header.frames - n * header.chunk_frames)
-        layers = read_layers(of_layers, held, bands.octave_count(frame_time), basis, model)
+        layers = read_layers(of_layers, held, bands.octave_count(frame_time), basis, model.densities)
         y = np.asarray(coefficients_of(layers), np.float32)
         parts.append(figure.values(*basis.vectors(y, layers[0].direction), scale))
     values = with_constants(np.concatenate(parts), setting.constants, model.constants)
@@ -157,16 +152,6 @@ def decode(stream: Stream, at_hand: Artifact | None, frames: slice | None = None
         raise CorruptStream("the stream's bones or joints are beyond all measure")
     skipped = first * header.chunk_frames
     return Motion(skeleton, values[start - skipped : stop - skipped], frame_time, unit_cm)
-
-
-def read_layers(
-    payloads: list[bytes], frames: int, octaves: int, basis: Basis, model: LearnedModel
-) -> list[Coded]:
-    """Of a chunk, from coarse to fine."""
-    layers: list[Coded] = []
-    for payload in payloads:
-        layers.append(read_payload(payload, layers, frames, octaves, basis, model.densities))
-    return layers
 
 
 def _codable(motion: Motion) -> Motion:

@@ -53,12 +53,17 @@ def band_contexts(levels: Levels, expectation: Expectation, step_index: int, cou
     """The contexts of one band after another; a band is read from `levels` only when the next is asked for."""
     level = level_of_step(step_index)
     yield slow_contexts(expectation.slow_prior(len(levels[0]), level)[:, : counts[0]], level)
-    parents = magnitude(slow_activity(levels[0]))
     for octave, count in enumerate(counts[1:]):
         prior = expectation.fast_prior(len(levels[octave + 1]), octave, level)[:, :count]
-        yield fast_contexts(prior, level, octave, parents)
-        if len(levels[octave + 1]):  # short clips have nothing in their coarsest octaves, but have in finer ones
-            parents = magnitude(levels[octave + 1])
+        yield fast_contexts(prior, level, octave, _parents(levels, octave))
+
+
+def _parents(levels: Levels, octave: int) -> Int[np.ndarray, "rows components"]:
+    """Short clips have nothing in their coarsest octaves, but have in finer ones."""
+    for band in reversed(levels[1 : octave + 1]):
+        if len(band):
+            return magnitude(band)
+    return magnitude(slow_activity(levels[0]))
 
 
 def leftover(levels: Levels, before: Expectation, spectrum: Spectrum, step_index: int, densities: Densities) -> Leftover:

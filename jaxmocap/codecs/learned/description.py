@@ -5,7 +5,8 @@ from __future__ import annotations
 from ..artifact import Artifact, stream_artifact
 from ..container import Stream
 from . import bands
-from .codec import model_of, params_of, read_layers
+from .codec import model_of, params_of
+from .payload import read_layers
 from .setting import HAS_CONSTANTS, OWN_BASIS, join_sections, read_setting
 
 
@@ -23,7 +24,7 @@ def describe(stream: Stream, at_hand: Artifact | None) -> dict[str, object]:
     for n in range(header.chunk_count):
         held = min(header.chunk_frames, header.frames - n * header.chunk_frames)
         payloads = [stream.chunk(n, k) for k in range(stream.layers)]
-        for coded in read_layers(payloads, held, octaves, setting.basis, model):
+        for coded in read_layers(payloads, held, octaves, setting.basis, model.densities):
             steps.append(round(coded.step, 6))
             jumps += len(coded.jumps.frames)
             corrections += len(coded.corrections.level)

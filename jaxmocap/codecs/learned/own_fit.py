@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 
 from ...motion import Motion
 from ...skeleton import Skeleton
+from ..entropy import integers
 from . import bands
 from .attempt import step_of_mean
 from .basis import Basis, direction_of
@@ -26,7 +27,7 @@ _FINENESS = 0.09  # of rows and means at their levels, in steps of the quantiser
 _DEAD_ZONE = 0.45
 _LEAST_SPREAD = 0.2  # in steps: what moves less is not worth its row
 _MOST_ERROR = 0.7  # of the mean error asked for
-_LARGEST = 1 << 20
+_LARGEST = integers.LIMIT - 1
 _TYPICAL_ROWS = 256  # of the lowest band
 
 
@@ -39,9 +40,12 @@ def fit_own(
     """
     some = motion.values[:: max(-(-motion.frame_count // _MOST_FRAMES), 1)]
     some = Motion(motion.skeleton, some, motion.frame_time, motion.unit_cm)
-    step = step_of_mean(mean_cm)
+    step, best = step_of_mean(mean_cm), None
     while True:
         own, basis, error = _fit(some, skeleton, scale, metric, model, step)
+        if best is not None and error >= best[2]:
+            return best[:2]
+        best = own, basis, error
         if error <= _MOST_ERROR * mean_cm or not own.fineness:
             return own, basis
         step *= 0.7

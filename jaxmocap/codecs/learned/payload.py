@@ -19,7 +19,7 @@ from .basis import DIRECTIONS, Basis
 from .coefficients import Densities, Levels, decode_levels, encode_levels, leftover
 from .corrections import NO_CORRECTIONS, Corrections, decode_corrections, encode_corrections
 from .jumps import Jumps, decode_jumps, encode_jumps
-from .spectrum import Expectation, Spectrum
+from .spectrum import Expectation
 from .steps import STEP_BITS, step_cm
 
 _DIRECTION_BITS = DIRECTIONS.bit_length() - 1
@@ -54,42 +54,57 @@ def coefficients_of(layers: Sequence[Coded]) -> Float[np.ndarray, "frames compon
     return sum((layer.coefficients() for layer in layers), 0.0)
 
 
-def expectation_of(spectrum: Spectrum, coarser: Sequence[Coded], densities: Densities) -> Expectation:
-    """Of a layer's levels, once all coarser layers are known."""
-    expectation: Expectation = spectrum
-    for layer in coarser:
-        expectation = leftover(layer.levels, expectation, spectrum, layer.step_index, densities)
-    return expectation
+def expectation_after(coded: Coded, before: Expectation, basis: Basis, densities: Densities) -> Expectation:
+    """Of the next layer's levels, where `before` was that of this layer's."""
+    return leftover(coded.levels, before, basis.spectrum, coded.step_index, densities)
 
 
-def write_payload(coded: Coded, coarser: Sequence[Coded], basis: Basis, densities: Densities) -> bytes:
-    """Raises JaxmocapError where levels are too large to be coded."""
+def write_layers(layers: Sequence[Coded], basis: Basis, densities: Densities) -> list[bytes]:
+    """Of a chunk, from coarse to fine. Raises JaxmocapError where levels are too large to be coded."""
+    payloads: list[bytes] = []
+    expectation: Expectation = basis.spectrum
+    for n, coded in enumerate(layers):
+        expectation = expectation_after(layers[n - 1], expectation, basis, densities) if n else expectation
+        payloads.append(_write(coded, n == 0, expectation, basis, densities))
+    return payloads
+
+
+def read_layers(
+    payloads: Sequence[bytes], frames: int, octaves: int, basis: Basis, densities: Densities
+) -> list[Coded]:
+    """All integers of a chunk, from coarse to fine. Raises CorruptStream where no encoder wrote such bytes."""
+    layers: list[Coded] = []
+    expectation: Expectation = basis.spectrum
+    for payload in payloads:
+        expectation = expectation_after(layers[-1], expectation, basis, densities) if layers else expectation
+        layers.append(_read(payload, layers[0] if layers else None, expectation, frames, octaves, basis, densities))
+    return layers
+
+
+def _write(coded: Coded, first: bool, expectation: Expectation, basis: Basis, densities: Densities) -> bytes:
     if max(np.abs(x).max(initial=0) for x in (*coded.levels, coded.jumps.levels)) >= integers.LIMIT:
         raise JaxmocapError("the motion goes too far for so small an error: it is out of this codec's reach")
     encoder = RangeEncoder()
     encoder.encode_bits(coded.step_index, STEP_BITS)
-    if not coarser:
+    if first:
         encoder.encode_bits(coded.direction, _DIRECTION_BITS)
         encode_jumps(encoder, coded.jumps, basis.spectrum, coded.step_index, densities)
-    expectation = expectation_of(basis.spectrum, coarser, densities)
     encode_levels(encoder, coded.levels, expectation, coded.step_index, densities)
     frames, octaves = sum(len(band) for band in coded.levels), len(coded.levels) - 1
     encode_corrections(encoder, coded.corrections, frames, octaves, basis.components)
     return encoder.finish()
 
 
-def read_payload(
-    data: bytes, coarser: Sequence[Coded], frames: int, octaves: int, basis: Basis, densities: Densities
+def _read(
+    data: bytes, first: Coded | None, expectation: Expectation, frames: int, octaves: int, basis: Basis, densities: Densities
 ) -> Coded:
-    """All integers of a layer. Raises CorruptStream where no encoder wrote such bytes."""
     decoder = RangeDecoder(data)
     step_index = decoder.decode_bits(STEP_BITS)
-    if coarser:
-        direction, jumps = coarser[0].direction, Jumps.none(basis.components)
-    else:
+    if first is None:
         direction = decoder.decode_bits(_DIRECTION_BITS)
         jumps = decode_jumps(decoder, frames, basis.spectrum, step_index, densities)
-    expectation = expectation_of(basis.spectrum, coarser, densities)
+    else:
+        direction, jumps = first.direction, Jumps.none(basis.components)
     levels = decode_levels(decoder, frames, octaves, expectation, step_index, densities)
     corrections = decode_corrections(decoder, frames, octaves, basis.components)
     return Coded(step_index, direction, jumps, levels, corrections)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from ...errors import JaxmocapError
 from .contexts import OCTAVE
 
 STEP_BITS = 9
@@ -16,8 +17,8 @@ def step_cm(index: int) -> float:
     return 2.0 ** (level_of_step(index) / OCTAVE)
 
 
-def level_of_step(index):
-    """16 log2 of the step in cm; of whole indices, and of what lies between them."""
+def level_of_step(index: int) -> int:
+    """16 log2 of the step in cm."""
     return index + OCTAVE * _FINEST_OCTAVE
 
 
@@ -27,8 +28,8 @@ def index_of(step: float) -> int:
 
 
 def coarsest_within(cm: float) -> int:
-    """The index of the coarsest step that is not above `cm`. Raises ValueError below the finest."""
+    """The index of the coarsest step that is not above `cm`. Raises JaxmocapError below the finest."""
     index = math.floor(OCTAVE * (math.log2(cm) - _FINEST_OCTAVE) + 1e-9) if cm > 0 else -1
     if index < 0:
-        raise ValueError(f"step is {cm} cm, wanted {step_cm(0):.2g} cm or more")
+        raise JaxmocapError(f"the step is {cm} cm, wanted {step_cm(0):.2g} cm or more")
     return min(index, STEPS - 1)

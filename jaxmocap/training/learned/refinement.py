@@ -23,6 +23,7 @@ import optax
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from ...codecs.learned import bands
+from ...codecs.learned.attempt import MEAN_AT_1_CM, POWER
 from ...codecs.learned.basis import Basis, direction_of
 from ...codecs.learned.coefficients import Densities
 from ...codecs.learned.contexts import OCTAVE, PATH
@@ -89,7 +90,7 @@ class Refinement:
 
     def loss(self, turns: Array, batch: Vectors, error_cm: Float[Array, ""]) -> tuple[Float[Array, ""], Metrics]:
         """Rate + weight x distortion, over what it is about to be; `error_cm` is the error that the step is meant for."""
-        transform = self.transform(turns, jnp.log2(error_cm / 0.59) / 0.73)  # as the encoder guesses its step
+        transform = self.transform(turns, jnp.log2(error_cm / MEAN_AT_1_CM) / POWER)
 
         def of_clip(vectors: Vectors) -> tuple[Array, Array]:
             coded = quantised(transform, vectors, self.octaves)
