@@ -48,7 +48,7 @@ class Encode(Command):
     config: str = "{}"
     """Settings of the codec, as JSON: {"clip_frames": 60, "form": "paper"} of lsdt-clip."""
     qualities: int | None = None
-    """How many qualities the beginnings of the stream shall hold, each with about 2.2 times less error than the last. Default: 1."""
+    """How many qualities the beginnings of the stream hold, each with about 2.2 times less error than the last. Default: 1."""
     embed_model: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Put the model into the stream."""
 
