@@ -22,6 +22,7 @@ from jaxmocap.motion import Motion
 from jaxmocap.skeleton import Skeleton
 from jaxmocap.synthesis import UNIT_CM, walk
 from jaxmocap.training import TRAINERS, Corpus, loop, train_learned, train_lsdt
+from jaxmocap.training.learned import train as learned_training
 from jaxmocap.training.learned.train import Trainer
 from jaxmocap.training.loop import Stage, State
 
@@ -344,6 +345,22 @@ def test_interrupted_learned_resumes_to_the_same_model(one_file, learned, tmp_pa
     assert 0 < _place_of(checkpoint)["stage"] < _place_of(finished)["stage"]
     again, _ = train_learned(one_file, checkpoint)
     assert again.data == artifact.data
+
+
+def test_a_corpus_that_is_large_enough_refines_its_basis(one_file, learned, monkeypatch):
+    """Components are turned into each other, the same whether a new trainer goes on or the one that began."""
+    for name, value in {"_FRAMES_FOR_STEPS": 60, "_REFINING": 2, "_STEPS_AT_ONCE": 1, "_CLIPS": 2, "_CROP": 32}.items():
+        monkeypatch.setattr(learned_training, name, value)
+    before, *_ = loop._resume(learned[2], _place_of(learned[2])["key"])
+    trainer = Trainer(one_file)
+    half = trainer._refine("joints", before, 0)
+    after, again = (t._refine("joints", half, 1) for t in (trainer, Trainer(one_file)))
+    synthesis, was = after["joints.synthesis"], before["joints.synthesis"]
+    np.testing.assert_array_equal(synthesis, again["joints.synthesis"])
+    assert not np.array_equal(synthesis, was) and np.isfinite(after["curve.basis.joints"]).all()
+    turned = synthesis @ np.linalg.pinv(was, rcond=1e-6)
+    np.testing.assert_allclose(turned @ turned.T, np.eye(len(turned)), atol=0.01)
+    assert set(after) == set(before) | {"curve.basis.joints"}
 
 
 def test_learned_wants_one_rig(one_file, tmp_path):

@@ -17,7 +17,7 @@ from ...skeleton import Skeleton
 from ..entropy import integers
 from ..entropy.range_coder import Decoder, Encoder, RangeDecoder, RangeEncoder
 from .basis import Basis
-from .coefficients import decode_signs, decode_sizes, encode_signs, encode_sizes
+from .coefficients import decode_signs, decode_sizes, encode_signs, encode_sizes, tail_frequencies
 from .contexts import OCTAVE, PATH, magnitude
 from .density import tail_rows_of
 from .distortion import Metric
@@ -194,7 +194,7 @@ def _read_row(decoder: Decoder, history: _History, tail: np.ndarray) -> Int[np.n
 
 
 def _frequencies(reach: Int[np.ndarray, " size"], shift: int, tail: np.ndarray) -> Int[np.ndarray, "size symbols"]:
-    return tail[tail_rows_of(reach + shift * (OCTAVE // 2))].astype(np.int64) + 1
+    return tail_frequencies(tail, tail_rows_of(reach + shift * (OCTAVE // 2)))
 
 
 def _cost(symbol: np.ndarray, reach: np.ndarray, shift: int, tail: np.ndarray) -> float:

@@ -118,13 +118,12 @@ def _usual_fineness(mean_cm: float) -> int:
 def _bone_fineness(sources: list[Source], model: LearnedModel, mean_cm: float) -> int:
     """The fineness of bones that costs least: their bytes, and those that their error takes from what levels may err."""
     finenesses = range(_usual_fineness(mean_cm) - 2, _usual_fineness(mean_cm) + 2)
-    made = {fineness: _bones(sources[0].original, model, fineness) for fineness in finenesses}
-    if is_somebody(made[finenesses[0]][0]):
+    if is_somebody(_bones(sources[0].original, model, finenesses[0])[0]):
         return finenesses[0]
     levels = sum(rough_bytes(source, mean_cm) for source in sources)
 
     def cost(fineness: int) -> float:
-        section, figure = made[fineness]
+        section, figure = _bones(sources[0].original, model, fineness)
         errors = replace(sources[0], decoding=figure).distortion.errors(sources[0].coefficients)
         return len(section) + levels * (float(errors.mean()) / mean_cm) ** 2 / 2
 
