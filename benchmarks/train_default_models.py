@@ -14,7 +14,8 @@ from jaxmocap.codecs import load_artifact
 from jaxmocap.codecs.artifact import shipped_models
 from jaxmocap.training import TRAINERS
 
-STARTS = {"lsdt-clip": 1, "exact": 0, "learned": 1}  # lossy codecs learn without the T-pose, archives have to keep it
+# Lossy codecs learn without the T-pose, archives have to keep it.
+STARTS = {"lsdt-clip": 1, "lsdt-frame": 1, "dct-frame": 1, "exact": 0, "learned": 1, "live": 1}
 MODELS = Path(__file__).resolve().parents[1] / "jaxmocap" / "models"
 
 

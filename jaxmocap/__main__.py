@@ -25,7 +25,9 @@ def run(arguments: list[str]) -> int:
     command = parse(arguments)
     try:
         report = command.run()
-        print(json.dumps(report) if command.json else command.text(report), flush=True)
+        if command.json or not command.writes_stdout:
+            shown = json.dumps(report) if command.json else command.text(report)
+            print(shown, file=sys.stderr if command.writes_stdout else sys.stdout, flush=True)
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0

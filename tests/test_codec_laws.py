@@ -27,15 +27,37 @@ from jaxmocap.synthesis import walk
 
 REFUSED = (CorruptStream, TruncatedStream, UnsupportedVersion)
 # Settings with which so many frames make several chunks, and variants that write other bytes.
-MANY_CHUNKS: dict[str, dict] = {"lsdt-clip": {"clip_frames": 60}, "learned": {}}
-LONG = {"lsdt-clip": 540, "learned": 16500}
+MANY_CHUNKS: dict[str, dict] = {
+    "lsdt-clip": {"clip_frames": 60},
+    "learned": {},
+    "lsdt-frame": {},
+    "dct-frame": {},
+    "mdtt": {},
+    "pca-rdo": {},
+    "live": {},
+}
+LONG = {"lsdt-clip": 540, "learned": 16500, "lsdt-frame": 8300, "dct-frame": 8300, "mdtt": 4100, "pca-rdo": 4100, "live": 8300}
 VARIANTS: dict[str, list[dict]] = {
     "lsdt-clip": [{"form": "runs"}, {"form": "paper"}],
     "learned": [{"metric": "joints"}, {"metric": "shell"}, {"metric": "joints", "qualities": 3}],
+    "lsdt-frame": [{}],
+    "dct-frame": [{}],
+    "mdtt": [{}],
+    "pca-rdo": [{}],
+    "live": [{"metric": "joints"}, {"metric": "shell"}],
 }
-COUNTS = {"lsdt-clip": (1, 2, 239, 240, 241, 961), "learned": (1, 2, 3, 15, 16, 17, 240)}
+COUNTS = {
+    "lsdt-clip": (1, 2, 239, 240, 241, 961),
+    "learned": (1, 2, 3, 15, 16, 17, 240),
+    "lsdt-frame": (1, 2, 240),
+    "dct-frame": (1, 2, 240),
+    "mdtt": (1, 2, 239, 240, 241),
+    "pca-rdo": (1, 2, 14, 15, 16, 121),
+    "live": (1, 2, 240),
+}
 FRAMES = 540
-FINE_STEP = {"lsdt-clip": 1.0, "learned": 0.5}  # cm: leaves less than half a centimetre
+# In cm: leaves less than half a centimetre.
+FINE_STEP = {"lsdt-clip": 1.0, "learned": 0.5, "lsdt-frame": 0.5, "dct-frame": 0.5, "mdtt": 1.0, "pca-rdo": 1.0, "live": 0.2}
 
 codecs = pytest.mark.parametrize("name", CODECS)
 variants = pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""LSDT as in Hou et al. 2016: rate and distortion (Fig. 7), clip length, sparsity (Fig. 4), transforms (Figs. 3 and 5)."""
+"""LSDT as in Hou et al. 2016: rate and distortion (Figs. 6 and 7), sparsity (Fig. 4), bases and transforms (Figs. 2, 3, 5)."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import jax
@@ -14,15 +14,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..codecs import LsdtClip, Target, load_artifact
+from ..codecs import AbstractCodec, LsdtClip, Target, load_artifact
 from ..codecs.artifact import Artifact
 from ..codecs.container import read_stream
 from ..kinematics import positions_cm
 from ..metrics import compare
 from ..motion import Motion
 from ..training.corpus import Corpus
-from ..training.lsdt import ITERATIONS, SAMPLES, train_lsdt
+from ..training.positions import ITERATIONS, SAMPLES, SPARSITY
 from ..transforms import constant, dct_matrix, fit_lsdt, growing, haar_matrix
+from .lossless_folder import timed
 
 TARGETS_CM = (0.3, 0.5, 1.0, 1.6, 2.4)
 SHARES = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5)
@@ -30,23 +31,22 @@ SPARSITIES = (2, 5, 8, 11)
 
 
 def rate_distortion(
-    motions: dict[str, Motion], codec: Callable[[Target], LsdtClip], targets: Sequence[float] = TARGETS_CM
+    motions: Mapping[str, Motion], codec: Callable[[Target], AbstractCodec], targets: Sequence[float] = TARGETS_CM
 ) -> list[dict]:
     """A row a target: bytes of all streams, their ratio to float32 positions, the pooled error, and speeds.
 
-    Each clip is coded once more beforehand, so that speeds are those after warm-up.
+    Every clip meets the target by itself. It is coded once beforehand, so that speeds, by processor seconds and with the
+    search for the target, are those after warm-up.
     """
+    for motion in motions.values():
+        codec(Target("mean", targets[0])).encode(motion)
     rows = []
     for cm in targets:
         made = codec(Target("mean", cm))
         clips = []
         for name, motion in motions.items():
-            made.encode(motion)
-            began = time.perf_counter()
-            data = made.encode(motion)
-            encoded = time.perf_counter()
-            decoded = made.decode(data)
-            done = time.perf_counter()
+            data, encode_s = timed(lambda made=made, motion=motion: made.encode(motion))
+            decoded, decode_s = timed(lambda made=made, data=data: made.decode(data))
             clips.append({
                 "clip": name,
                 "frames": motion.frame_count,
@@ -54,8 +54,8 @@ def rate_distortion(
                 "ratio": motion.frame_count * motion.skeleton.joint_count * 12 / len(data),
                 **{k: compare(motion, decoded)[k] for k in ("mean_cm", "max_cm")},
                 "sections": read_stream(data).section_bytes(),
-                "encode_s": encoded - began,
-                "decode_s": done - encoded,
+                "encode_s": encode_s,
+                "decode_s": decode_s,
             })
         rows.append({"target_cm": cm, **_pooled(clips), "clips": clips})
     return rows
@@ -74,10 +74,44 @@ def _pooled(clips: list[dict]) -> dict:
     }
 
 
-def sparsity_models(corpus: Corpus) -> dict[int, Artifact]:
-    """Models trained alike but for P: 2, 5, 8 and 11 (Fig. 4)."""
+def of_clip(rows: Sequence[dict], name: str) -> list[dict]:
+    """The rows of one clip alone."""
+    return [{"target_cm": row["target_cm"], **clip} for row in rows for clip in row["clips"] if clip["clip"] == name]
+
+
+def error_at(rows: Sequence[dict], ratio: float) -> float | None:
+    """The mean error at a ratio: log error over log ratio between the two measured points around it, None outside them."""
+    points = sorted((row["ratio"], row["mean_cm"]) for row in rows)
+    if not points or not points[0][0] <= ratio <= points[-1][0]:
+        return None
+    ratios, errors = np.log(points).T
+    return float(np.exp(np.interp(np.log(ratio), ratios, errors)))
+
+
+def error_saved(rows: Sequence[dict], rival: Sequence[dict]) -> list[dict[str, float]]:
+    """What part of a rival's mean error is saved at every ratio that was measured of either and lies within both curves."""
+    found = []
+    for ratio in sorted(row["ratio"] for row in (*rows, *rival)):
+        ours, theirs = error_at(rows, ratio), error_at(rival, ratio)
+        if ours is not None and theirs is not None:
+            found.append({"ratio": ratio, "saved": 1 - ours / theirs})
+    return found
+
+
+def sparsity_models(
+    corpus: Corpus, shipped: Artifact, train: Callable[[Corpus, Path, int], tuple[Artifact, dict]]
+) -> dict[int, Artifact]:
+    """Models trained alike but for P: 2, 5, 8 and 11 (Fig. 4), of which the one for 8 is shipped."""
     with tempfile.TemporaryDirectory() as folder:
-        return {p: train_lsdt(corpus, Path(folder) / f"{p}.partial", p)[0] for p in SPARSITIES}
+        return {
+            p: shipped if p == SPARSITY else train(corpus, Path(folder) / f"{p}.partial", p)[0] for p in SPARSITIES
+        }
+
+
+def bases(learned: Float[np.ndarray, "3 joints joints"]) -> dict[str, list]:
+    """The matrices of Fig. 2, a row a basis function: DCT, and what was learned for each coordinate."""
+    found = {"dct": dct_matrix(learned.shape[-1]), **{f"lsdt {'xyz'[d]}": basis for d, basis in enumerate(learned)}}
+    return {name: np.asarray(basis, np.float64).round(4).tolist() for name, basis in found.items()}
 
 
 def training_samples(corpus: Corpus, count: int = SAMPLES) -> Float[np.ndarray, "3 samples joints"]:

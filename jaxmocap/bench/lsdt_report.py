@@ -1,94 +1,130 @@
-"""`jaxmocap bench lsdt`: all of bench/lsdt.py in one run, as text, JSON and plots."""
+"""`jaxmocap bench lsdt`: the figures of Hou et al. 2016, packets and speeds, part by part, as text, JSON, plots and players."""
 
 from __future__ import annotations
 
 import functools
 import json
 import sys
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Literal
 
-from ..codecs import LsdtClip, Target, load_artifact
-from . import lsdt
-from .data import test_motions, train_corpus
+from ..codecs import AbstractCodec, Target, load_artifact, make
+from ..formats import read_motion
+from ..training.lsdt import train_lsdt
+from ..training.lsdt_frame import train_lsdt_frame
+from . import lsdt, lsdt_methods, lsdt_packets, lsdt_players, lsdt_speeds
+from .data import UNIT_CM, test_motions, train_corpus
+from .lossless_folder import one_core
+from .lsdt_methods import CLIP_BASED, FRAME_BASED, Method
+from .lsdt_text import text as text
+
+FRAME_TARGETS_CM = (0.1, 0.3, 0.5, 1.0, 1.6, 2.4)
+MEAN_CM = 1.0  # where one error has to do
+COLD, FAST, SEEN = "09_06", "02_05", "05_02"  # the clips of the cold start, of speeds and of players
+PICTURES = ("bases", "players")  # parts without a table
 
 
-def measure(data: Path) -> dict:
-    """Everything, on the test split of `data`."""
-    shipped = load_artifact("lsdt-clip")
+def measure(data: Path, parts: Sequence[str] = ()) -> dict:
+    """All parts that have a table, or those named, on `data`, on one core."""
+    result = {}
+    with one_core():
+        for name in parts or [name for name in PARTS if name not in PICTURES]:
+            _say(name)
+            result[name] = PARTS[name](data)
+    curves = {**result.get("frame_based", {}), **result.get("rate_distortion", {})}
+    return {**result, "table": lsdt_methods.table(curves, MEAN_CM)} if curves else result
+
+
+def bases(_: Path) -> dict[str, list]:
+    """Fig. 2."""
+    return lsdt.bases(load_artifact("lsdt-clip").tensors["basis"])
+
+
+def convergence(data: Path) -> dict[str, list]:
+    """Fig. 3."""
+    return lsdt.convergence(lsdt.training_samples(train_corpus(data)))
+
+
+def sparsity(data: Path) -> dict[str, dict]:
+    """Fig. 4: whole models for each P, of both schemes."""
     motions, corpus = test_motions(data), train_corpus(data)
+    found: dict[str, dict] = {}
+    for name, train in (("lsdt-frame", train_lsdt_frame), ("lsdt-clip", train_lsdt)):
+        _say(f"  models of {name} for P = {', '.join(map(str, lsdt.SPARSITIES))}")
+        for p, artifact in lsdt.sparsity_models(corpus, load_artifact(name), train).items():
 
-    def codec(form: Literal["runs", "paper"], clip_frames: int, artifact=shipped):
-        def make(target: Target) -> LsdtClip:
-            return LsdtClip(artifact, clip_frames, form, target)
+            def codec(target: Target, name=name, artifact=artifact) -> AbstractCodec:
+                return make({"codec": name, "target": target}, artifact)
 
-        return make
-
-    result: dict = {"rate_distortion": {}, "sparsity": {}}
-    for form in ("runs", "paper"):
-        for clip_frames in (60, 120, 240):
-            _say(f"{form}, L = {clip_frames}")
-            rows = lsdt.rate_distortion(motions, codec(form, clip_frames))
-            result["rate_distortion"][f"{form} L={clip_frames}"] = rows
-    _say("cold start, learning speed, convergence")
-    result["cold_decode"] = lsdt.cold_decode(motions["09_06"])
-    samples = lsdt.training_samples(corpus)
-    result["training_speed"] = lsdt.training_speed(samples)
-    result["convergence"] = lsdt.convergence(samples)
-    result["spatial_transforms"] = lsdt.spatial_transforms(motions, shipped.tensors["basis"])
-    _say("models for P = 2, 5, 8, 11")
-    for sparsity, artifact in lsdt.sparsity_models(corpus).items():
-        for form in ("runs", "paper"):
-            rows = lsdt.rate_distortion(motions, codec(form, 240, artifact))
-            result["sparsity"][f"{form} P={sparsity}"] = rows
-    return result
+            found.setdefault(name, {})[f"P={p}"] = lsdt.rate_distortion(motions, codec)
+    return found
 
 
-def text(result: dict) -> str:
-    """The tables for people."""
-    lines = ["Compression ratio of the 9 test clips (float32 positions of 31 joints; real bytes, header and skeleton included)"]
-    lines += _ratios({**result["rate_distortion"], **{f"{k} L=240": v for k, v in result["sparsity"].items()}})
-    best = result["rate_distortion"]["runs L=240"]
-    lines += ["", "runs L=240, clip by clip at 1 cm:"]
-    one = next(row for row in best if row["target_cm"] == 1.0)
-    lines += [
-        f"  {c['clip']}  {c['frames']:5d} frames  {c['bytes']:6d} bytes  {c['ratio']:7.1f}:1  mean {c['mean_cm']:.3f}  "
-        f"max {c['max_cm']:.2f} cm" for c in one["clips"]
-    ]
-    lines += ["", f"speed, runs L=240, frames/s at 1 cm: encode {one['encode_fps']:,.0f}, decode {one['decode_fps']:,.0f}"]
-    cold, speed = result["cold_decode"], result["training_speed"]
-    lines += [
-        f"cold decode of 09_06: {cold['decode_s']:.2f} s, import jax {cold['import_jax_s']:.2f} s, {cold['ratio']:.2f} times"
-    ]
-    lines += [
-        f"learning, P = 8, 300 iterations: {speed['jax_s']:.2f} s with compilation, numpy {speed['numpy_s']:.2f} s, "
-        f"{speed['numpy_over_jax']:.2f} times as long"
-    ]
-    lines += ["", "objective (6) at the end, x y z:"]
-    lines += [f"  {name:<14}" + "".join(f"{v:12.0f}" for v in curve[-1]) for name, curve in result["convergence"].items()]
-    lines += ["", "mean error in cm by share of nonzero coefficients (Fig. 5):"]
-    lines += ["  " + " " * 6 + "".join(f"{r['share']:8.0%}" for r in result["spatial_transforms"]["lsdt"])]
-    lines += [
-        f"  {name:<6}" + "".join(f"{r['mean_cm']:8.3f}" for r in rows)
-        for name, rows in result["spatial_transforms"].items()
-    ]
-    return "\n".join(lines)
+def spatial_transforms(data: Path) -> dict[str, list]:
+    """Fig. 5."""
+    return lsdt.spatial_transforms(test_motions(data), load_artifact("lsdt-clip").tensors["basis"])
+
+
+def frame_based(data: Path) -> dict[str, list]:
+    """Fig. 6, and ours."""
+    return _curves(data, FRAME_BASED, FRAME_TARGETS_CM)
+
+
+def rate_distortion(data: Path) -> dict[str, list]:
+    """Fig. 7: clips and sequences, and ours."""
+    return _curves(data, CLIP_BASED, lsdt.TARGETS_CM)
+
+
+def players(data: Path) -> dict:
+    """Figs. 8 and 9."""
+    file = data / "cmu_bvh" / SEEN[:2] / f"{SEEN}.bvh"
+    return {"clip": SEEN, "file": str(file), "figures": lsdt_players.measure(_clip(file))}
+
+
+def packets(data: Path) -> dict[str, list]:
+    """One packet a frame."""
+    return lsdt_packets.rows(test_motions(data))
+
+
+def speeds(data: Path) -> dict:
+    """Of a frame in `live`, and of a cold start and learning in `lsdt-clip`."""
+    motions = test_motions(data)
+    return {
+        "live": {"clip": FAST, "rows": lsdt_speeds.measure(motions[FAST], lsdt_packets.REPEATS)},
+        "cold_decode": {"clip": COLD, **lsdt.cold_decode(motions[COLD])},
+        "training": lsdt.training_speed(lsdt.training_samples(train_corpus(data))),
+    }
 
 
 def save(result: dict, folder: Path) -> None:
-    """The report as lsdt.json, and the figures as PNG."""
+    """The report as lsdt.json, the figures as PNG, and Figures 8 and 9 as players."""
     from . import lsdt_plots
 
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "lsdt.json").write_text(json.dumps(result, indent=1) + "\n")
-    for name, draw in lsdt_plots.FIGURES.items():
-        draw(result).savefig(folder / f"{name}.png", dpi=110)
+    for name, (part, draw) in lsdt_plots.FIGURES.items():
+        if part in result:
+            draw(result).savefig(folder / f"{name}.png", dpi=110)
+    if "players" in result:
+        motion = _clip(Path(result["players"]["file"]))
+        for name, page in lsdt_players.pages(motion, result["players"]["figures"]):
+            (folder / name).write_text(page, "utf-8")
 
 
-def _ratios(curves: dict[str, list[dict]]) -> list[str]:
-    targets = [row["target_cm"] for row in next(iter(curves.values()))]
-    lines = ["  " + f"{'mean error, cm':<18}" + "".join(f"{t:8g}" for t in targets)]
-    return lines + [f"  {name:<18}" + "".join(f"{row['ratio']:8.1f}" for row in rows) for name, rows in curves.items()]
+def _clip(file: Path):
+    return read_motion(file, UNIT_CM).frames(1)
 
 
+def _curves(data: Path, methods: Mapping[str, Method], targets: Sequence[float]) -> dict[str, list]:
+    motions, found = test_motions(data), {}
+    for name, method in methods.items():
+        _say(f"  {name}")
+        found[name] = lsdt.rate_distortion(motions, method.codec, targets)
+    return found
+
+
+PARTS: dict[str, Callable[[Path], dict]] = {
+    "bases": bases, "convergence": convergence, "sparsity": sparsity, "spatial_transforms": spatial_transforms,
+    "frame_based": frame_based, "rate_distortion": rate_distortion, "players": players, "packets": packets, "speeds": speeds,
+}  # fmt: skip
 _say = functools.partial(print, file=sys.stderr, flush=True)

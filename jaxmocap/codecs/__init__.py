@@ -6,21 +6,40 @@ from collections.abc import Callable
 
 from ..errors import UnsupportedVersion
 from ..motion import Motion
-from . import lsdt_clip
+from . import dct_frame, lsdt_clip, lsdt_frame, mdtt, pca_rdo
 from .artifact import Artifact
 from .artifact import load_artifact as load_artifact
 from .base import AbstractCodec as AbstractCodec
 from .base import Target as Target
 from .container import Header, read_stream
+from .dct_frame import DctFrame as DctFrame
 from .learned import codec as learned_codec
 from .learned.codec import Learned as Learned
+from .live import codec as live_codec
+from .live.codec import Live as Live
 from .lsdt_clip import LsdtClip as LsdtClip
+from .lsdt_frame import LsdtFrame as LsdtFrame
+from .mdtt import Mdtt as Mdtt
+from .pca_rdo import PcaRdo as PcaRdo
 
 # Registering a codec is what has it tested: the laws in tests/test_codec_laws.py run over this table.
-CODECS: dict[str, Callable[..., AbstractCodec]] = {"lsdt-clip": LsdtClip, "learned": Learned}
+CODECS: dict[str, Callable[..., AbstractCodec]] = {
+    "lsdt-clip": LsdtClip,
+    "learned": Learned,
+    "lsdt-frame": LsdtFrame,
+    "dct-frame": DctFrame,
+    "mdtt": Mdtt,
+    "pca-rdo": PcaRdo,
+    "live": Live,
+}
 _BY_NUMBER = {
     lsdt_clip.NUMBER: ("lsdt-clip", lsdt_clip.decode),
     learned_codec.NUMBER: ("learned", learned_codec.decode),
+    lsdt_frame.NUMBER: ("lsdt-frame", lsdt_frame.decode),
+    dct_frame.NUMBER: ("dct-frame", dct_frame.decode),
+    mdtt.NUMBER: ("mdtt", mdtt.decode),
+    pca_rdo.NUMBER: ("pca-rdo", pca_rdo.decode),
+    live_codec.NUMBER: ("live", live_codec.decode),
 }
 DEFAULT = "learned"
 

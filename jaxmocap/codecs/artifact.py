@@ -15,6 +15,7 @@ from ..errors import FormatError, ModelMismatch
 
 MODEL_FORMAT = 1
 _SHIPPED = "models"
+_SHARED = {"mdtt": "lsdt-clip", "pca-rdo": "lsdt-clip"}  # codecs that use the rig in another's model
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,9 +69,9 @@ def parse_artifact(data: bytes, name: str) -> Artifact:
 
 def load_artifact(model: str | Path) -> Artifact:
     """A model from a file, or a shipped one by its id, such as "lsdt-clip". Raises FormatError where there is none."""
-    path = Path(model)
-    if str(model) in shipped_models():
-        return _shipped(str(model))
+    path, name = Path(model), _SHARED.get(str(model), str(model))
+    if name in shipped_models():
+        return _shipped(name)
     try:
         return parse_artifact(path.read_bytes(), path.name)
     except OSError as error:

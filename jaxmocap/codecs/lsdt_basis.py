@@ -6,16 +6,13 @@ that hold anything, and written into the stream. The entropy tables are the mode
 
 from __future__ import annotations
 
-import zlib
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
 from ..errors import CorruptStream
-from ..transforms.dct import dct_matrix
-from ..transforms.lsdt import fit_lsdt, growing
+from . import own_basis
 from .bitstream import ByteReader, varint
 from .clips import Bases
 from .coefficients_paper import PaperCodes
@@ -24,9 +21,6 @@ from .entropy.huffman import HuffmanCode, code_lengths
 from .lsdt_model import LsdtModel, nearest
 from .quantise import PER_OCTAVE
 
-_FIT_FRAMES = 2048
-_ITERATIONS = 100
-_ENTRY_STEPS = 127
 _PER_SCALE = PER_OCTAVE // 4  # scales travel in quarter octaves
 
 
@@ -77,22 +71,12 @@ def known(model: LsdtModel) -> Coding:
 
 def fit(positions: Float[np.ndarray, "frames joints 3"], model: LsdtModel) -> Coding:
     """LSDT fitted to a motion, components in order of their energy."""
-    joints = positions.shape[1]
-    chosen = positions[np.linspace(0, len(positions) - 1, _FIT_FRAMES).astype(int)]
-    samples = jnp.asarray(chosen.transpose(2, 0, 1), jnp.float32)
-    schedule = growing(min(8, joints), _ITERATIONS)
-    basis = np.asarray(fit_lsdt(samples, jnp.asarray(dct_matrix(joints), jnp.float32), schedule).transform.basis)
-    energy = (np.einsum("dij,dnj->din", basis, samples) ** 2).sum(-1)
-    order = np.argsort(-energy, axis=1)
-    entries = np.rint(np.take_along_axis(basis, order[:, :, None], 1) * _ENTRY_STEPS).astype(np.int8)
-    return from_own(OwnBasis(entries), model)
+    return from_own(OwnBasis(own_basis.fit_entries(positions)), model)
 
 
 def from_own(own: OwnBasis, model: LsdtModel) -> Coding:
-    """Rounded rows are not orthogonal: analysis by their pseudo-inverse makes synthesis the best fit all the same."""
-    synthesis = own.entries.astype(np.float64) / _ENTRY_STEPS
-    analysis = np.linalg.pinv(synthesis).transpose(0, 2, 1)
-    return Coding(model, Bases(analysis.astype(np.float32), synthesis.astype(np.float32)), own)
+    """The coding of a basis that travels. Raises LinAlgError where it is none."""
+    return Coding(model, own_basis.bases_of(own.entries), own)
 
 
 def fit_to_levels(
@@ -117,8 +101,7 @@ def fit_to_levels(
 def write_own(own: OwnBasis, form: str) -> bytes:
     """The basis as it follows the skeleton in a stream, with what the form needs: magnitudes, or code lengths."""
     statistics = (own.component_scale, own.band_scale) if form == "runs" else (own.position_lengths,)
-    raw = b"".join(np.asarray(part, np.int8).tobytes() for part in (own.entries, *statistics))
-    return varint(own.entries.shape[1]) + zlib.compress(raw, 9, wbits=-15)
+    return varint(own.entries.shape[1]) + own_basis.pack([own.entries, *(part for part in statistics if part is not None)])
 
 
 def read_own(data: bytes, joints: int, model: LsdtModel, form: str) -> Coding:
@@ -128,16 +111,7 @@ def read_own(data: bytes, joints: int, model: LsdtModel, form: str) -> Coding:
     if not 0 < count <= joints:
         raise CorruptStream(f"the stream's basis has {count} components for {joints} joints")
     statistics = [(3, count), (BANDS,)] if form == "runs" else [(3, count)]
-    shapes = [(3, count, joints), *statistics]
-    sizes = [int(np.prod(shape)) for shape in shapes]
-    try:
-        raw = zlib.decompressobj(wbits=-15).decompress(reader.take(reader.left), sum(sizes) + 1)
-    except zlib.error as error:
-        raise CorruptStream(f"the stream's basis cannot be unpacked: {error}") from error
-    if len(raw) != sum(sizes):
-        raise CorruptStream(f"the stream's basis has {len(raw)} bytes, wanted {sum(sizes)}")
-    parts = np.split(np.frombuffer(raw, np.int8), np.cumsum(sizes)[:-1])
-    entries, *numbers = (p.reshape(shape).astype(np.int64) for p, shape in zip(parts, shapes, strict=True))
+    entries, *numbers = own_basis.unpack(reader, [(3, count, joints), *statistics])
     own = OwnBasis(entries, *numbers) if form == "runs" else OwnBasis(entries, position_lengths=numbers[0])
     try:
         if own.position_lengths is not None:

@@ -8,7 +8,7 @@ are fitted to the decoded positions), chunks of four clips, and a basis that tra
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
+from collections.abc import Callable
 from typing import Literal
 
 import equinox as eqx
@@ -17,28 +17,23 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ..errors import CorruptStream, JaxmocapError
-from ..features.recovery import freed, recover, recoverable
-from ..kinematics import pose, positions_cm
 from ..motion import Motion
-from ..skeleton import Skeleton
 from . import coefficients_paper, coefficients_runs, lsdt_basis
 from .artifact import Artifact, stream_artifact
-from .base import AbstractCodec, Target, frame_range
+from .base import AbstractCodec, Target
 from .clips import Cut, analyse, cut, synthesise, to_clips
 from .coefficients_runs import frame_rate
-from .container import DIGEST_BYTES, Header, Stream, read_stream, write_stream
+from .container import Header, Stream, read_stream, write_stream
 from .entropy import integers
+from .joint_positions import Figure, Source, chunk_length
 from .lsdt_basis import Coding
 from .lsdt_model import CLIP_FRAMES, LsdtModel
-from .quantise import quantise, step_cm, step_index
-from .rate_control import coarsest, meets, out_of_reach
-from .rig import read_skeleton, write_skeleton
+from .quantise import quantise, step_cm
 
 NUMBER = 1
 CHUNK_CLIPS = 4
 FORMS = ("paper", "runs")
 _UNIT_FRAMES = 60
-_MOST_AT_ONCE = 1 << 23  # joint positions, 37 minutes of a figure: a crafted stream could claim more in a few bytes
 
 
 class LsdtClip(AbstractCodec):
@@ -68,45 +63,31 @@ class LsdtClip(AbstractCodec):
 
         Raises JaxmocapError where the target is out of reach.
         """
-        source = _Source.of(motion, _model(self.artifact), self.clip_frames)
+        model = _model(self.artifact)
+        source = Source.of(motion, model.rig)
+        clips = _Clips(source, self.clip_frames)
         target = self.target or Target.default(motion)
-        coding = lsdt_basis.known(source.model) if source.known else lsdt_basis.fit(source.positions, source.model)
-        index = source.coarsest_step(coding, target)
+        coding = lsdt_basis.known(model) if source.known else lsdt_basis.fit(source.positions, model)
+        index = source.coarsest_step(clips.decoded(coding), target)
         if not source.known:
-            band = coefficients_runs.bands(self.clip_frames, source.frame_rate)
-            coding = lsdt_basis.fit_to_levels(coding, source.levels(coding, index), band, index)
-        while True:  # what the search found holds but for the rounding of bones
-            data = self._write(source, coding, index)
-            error = source.error(data, self.artifact)
-            if meets(error, target):
-                return data
-            if index == 0:
-                raise out_of_reach(error, target)
-            index -= 1
+            band = coefficients_runs.bands(self.clip_frames, clips.frame_rate)
+            coding = lsdt_basis.fit_to_levels(coding, clips.levels(coding, index), band, index)
+        return source.measured(lambda at: self._write(clips, coding, at), decode, self.artifact, index, target)
 
     def decode(self, data: bytes, frames: slice | None = None) -> Motion:
         return decode(read_stream(data), self.artifact, frames)
 
-    def _write(self, source: _Source, coding: Coding, index: int) -> bytes:
-        levels = source.levels(coding, index)
-        clips = [levels[n, :, :length] for n, length in enumerate(source.cut.lengths)]
+    def _write(self, clips: _Clips, coding: Coding, index: int) -> bytes:
+        levels = clips.levels(coding, index)
+        held = [levels[n, :, :length] for n, length in enumerate(clips.cut.lengths)]
         chunks = [
-            _encode_chunk(self.form, clips[n : n + CHUNK_CLIPS], coding, index, source.frame_rate)
-            for n in range(0, len(clips), CHUNK_CLIPS)
+            _encode_chunk(self.form, held[n : n + CHUNK_CLIPS], coding, index, clips.frame_rate)
+            for n in range(0, len(held), CHUNK_CLIPS)
         ]
-        rig, motion = source.model.rig, source.motion
-        skeleton = write_skeleton(motion.skeleton, rig, source.scale, index)
-        header = Header(
-            codec=NUMBER,
-            params=bytes([FORMS.index(self.form) << 7 | self.clip_frames // _UNIT_FRAMES, index]),
-            frames=motion.frame_count,
-            chunk_frames=min(CHUNK_CLIPS * self.clip_frames, motion.frame_count),
-            skeleton=skeleton if coding.own is None else skeleton + lsdt_basis.write_own(coding.own, self.form),
-            digest=bytes.fromhex(self.artifact.digest)[:DIGEST_BYTES],
-            model=self.artifact.data if self.embed else None,
-            frame_time=None if motion.frame_time == rig.frame_time else motion.frame_time,
-            unit_cm=None if motion.unit_cm == rig.unit_cm else motion.unit_cm or 0.0,
-        )
+        params = bytes([FORMS.index(self.form) << 7 | self.clip_frames // _UNIT_FRAMES, index])
+        own = b"" if coding.own is None else lsdt_basis.write_own(coding.own, self.form)
+        chunk_frames = CHUNK_CLIPS * self.clip_frames
+        header = clips.source.header(NUMBER, params, chunk_frames, index, own, self.artifact, self.embed)
         return write_stream(header, chunks)
 
 
@@ -115,57 +96,29 @@ def decode(stream: Stream, at_hand: Artifact | None, frames: slice | None = None
     header = stream.header
     form, clip_frames, index = _params(header)
     model = _model(stream_artifact(header.model, header.digest, at_hand))
-    unit_cm = model.rig.unit_cm if header.unit_cm is None else header.unit_cm or None
-    skeleton, scale, rest, is_known = read_skeleton(header.skeleton, model.rig, unit_cm, index)
-    coding = lsdt_basis.known(model) if is_known else lsdt_basis.read_own(rest, skeleton.joint_count, model, form)
-    frame_time = model.rig.frame_time if header.frame_time is None else header.frame_time
-
-    start, stop = frame_range(frames, header.frames)
-    if (stop - start + header.chunk_frames) * skeleton.joint_count > _MOST_AT_ONCE:
-        raise JaxmocapError(f"{stop - start} frames are too many to decode at once; take them in parts (--frames A:B)")
-    first, last = start // header.chunk_frames, (stop - 1) // header.chunk_frames
+    figure = Figure.of(header, model.rig, index)
+    joints = figure.skeleton.joint_count
+    coding = lsdt_basis.known(model) if figure.known else lsdt_basis.read_own(figure.own, joints, model, form)
+    chunks, wanted = figure.chunks(header, frames)
     clips = []
-    for n in range(first, last + 1):
-        held = min(header.chunk_frames, header.frames - n * header.chunk_frames)
-        clips += _decode_chunk(form, stream.chunk(n), cut(held, clip_frames).lengths, coding, index, frame_rate(frame_time))
-    total = sum(c.shape[1] for c in clips)
-    c = cut(total, clip_frames)
+    for n in chunks:
+        lengths = cut(chunk_length(header, n), clip_frames).lengths
+        clips += _decode_chunk(form, stream.chunk(n), lengths, coding, index, frame_rate(figure.frame_time))
+    c = cut(sum(clip.shape[1] for clip in clips), clip_frames)
     levels = np.zeros((c.padded, 3, clip_frames, coding.components), np.int32)
     for n, clip in enumerate(clips):
         levels[n, :, : clip.shape[1]] = clip
-    positions = _positions(levels, c, coding, index)
-    motion = _to_motion(skeleton, positions, scale, model.rig.expected if is_known else None, total, frame_time, unit_cm)
-    skipped = first * header.chunk_frames
-    return motion if frames is None else motion.frames(start - skipped, stop - skipped)
+    return figure.motion(np.asarray(_positions(levels, c, coding, index))[wanted])
 
 
-@dataclass(frozen=True)
-class _Source:
-    """A motion made ready for one encoding after another. `scale` is cm per file unit, guessed where it is unknown."""
+class _Clips:
+    """A source cut into clips, and their levels."""
 
-    motion: Motion
-    model: LsdtModel
-    known: bool
-    scale: float
-    positions: Float[np.ndarray, "frames joints 3"]
-    cut: Cut
-    clips: Float[Array, "clips 3 frames joints"]
-
-    @staticmethod
-    def of(motion: Motion, model: LsdtModel, clip_frames: int) -> _Source:
-        """Raises JaxmocapError where the motion has no frames, or values that are not finite."""
-        if not motion.frame_count or not np.isfinite(motion.values).all():
-            raise JaxmocapError("the motion has no frames, or values that are not finite numbers")
-        motion = _codable(motion)
-        known = model.rig.skeleton.same_rig(motion.skeleton)
-        scale = motion.unit_cm or (model.rig.unit_cm if known else 1.0)
-        positions = np.asarray(positions_cm(motion)) / motion.scale * scale
-        c = cut(motion.frame_count, clip_frames)
-        return _Source(motion, model, known, scale, positions, c, jnp.asarray(to_clips(positions, c)))
-
-    @property
-    def frame_rate(self) -> int:
-        return frame_rate(self.motion.frame_time)
+    def __init__(self, source: Source, clip_frames: int):
+        self.source = source
+        self.cut = cut(source.motion.frame_count, clip_frames)
+        self.frame_rate = frame_rate(source.motion.frame_time)
+        self._clips = jnp.asarray(to_clips(source.positions, self.cut))
 
     def levels(self, coding: Coding, index: int) -> Int[np.ndarray, "clips 3 frequencies components"]:
         coefficients = np.asarray(self._coefficients(coding))
@@ -175,95 +128,22 @@ class _Source:
             )
         return np.asarray(quantise(coefficients, step_cm(index)))
 
-    def _coefficients(self, coding: Coding) -> Array:
-        return analyse(self.clips, self.cut.full, self.cut.last, self.cut.clip_count - 1, coding.bases.analysis)
-
-    def coarsest_step(self, coding: Coding, target: Target) -> int:
-        """Found on positions alone first, which is quick, then on what the decoder makes of them."""
-        target = Target(target.kind, target.cm * self.scale / self.motion.scale)
-        if target.kind == "step":
-            return step_index(target.cm)
+    def decoded(self, coding: Coding) -> Callable[[int], Float[Array, "padded_frames joints 3"]]:
+        """Joint positions in cm by step index."""
         coefficients = self._coefficients(coding)
 
-        def decoded(index: int) -> Float[Array, "frames joints 3"]:
-            levels = quantise(coefficients, step_cm(index))
-            return _positions(levels, self.cut, coding, index)
+        def at(index: int) -> Float[Array, "padded_frames joints 3"]:
+            return _positions(quantise(coefficients, step_cm(index)), self.cut, coding, index)
 
-        def on_positions(index: int) -> tuple[float, float]:
-            return _error(self.positions, decoded(index))
+        return at
 
-        def on_motion(index: int) -> tuple[float, float]:
-            expected = self.model.rig.expected if self.known else None
-            in_units = np.asarray(decoded(index)) / np.float32(self.scale)
-            made = recover(self.motion.skeleton, in_units[: self.cut.frames], expected).positions
-            return _error(self.positions, made * self.scale)
-
-        start = coarsest(on_positions, target)
-        if not recoverable(self.motion.skeleton):
-            return start
-        return coarsest(on_motion, target, start)
-
-    def error(self, data: bytes, artifact: Artifact) -> tuple[float, float]:
-        """Mean and maximum joint error of what a stream decodes to, in cm, or in file units where the unit is unknown."""
-        stream, frames = read_stream(data), self.motion.frame_count
-        part = _MOST_AT_ONCE // self.motion.skeleton.joint_count - 2 * stream.header.chunk_frames
-        total, largest = 0.0, 0.0
-        for start in range(0, frames, part):
-            original = self.positions[start : start + part]
-            decoded = decode(stream, artifact, slice(start, start + len(original)))
-            mean, most = _error(original, pose(decoded).positions * self.scale)
-            total, largest = total + mean * len(original), max(largest, most)
-        unit = self.motion.scale / self.scale
-        return total / frames * unit, largest * unit
-
-
-def _codable(motion: Motion) -> Motion:
-    """The motion with a skeleton that positions determine: limited joints are freed, moving bones become positions."""
-    s = motion.skeleton
-    if recoverable(s):
-        return motion
-    positions = np.asarray(pose(motion).positions)
-    if s.is_rigid and s.has_rotations:
-        free = freed(s)
-        return Motion(free, recover(free, positions).values.astype(np.float64), motion.frame_time, motion.unit_cm)
-    return Motion.from_positions(positions, s.names, motion.frame_time, s.parents, motion.unit_cm)
-
-
-def _error(positions: Float[np.ndarray, "frames joints 3"], decoded: Array | np.ndarray) -> tuple[float, float]:
-    """Mean and maximum joint error in cm; on the host, where positions are by now."""
-    error = np.linalg.norm(np.asarray(decoded)[: len(positions)] - positions, axis=-1)
-    return float(error.mean(dtype=np.float64)), float(error.max())
+    def _coefficients(self, coding: Coding) -> Float[Array, "clips 3 frequencies components"]:
+        return analyse(self._clips, self.cut.full, self.cut.last, self.cut.clip_count - 1, coding.bases.analysis)
 
 
 def _positions(levels: np.ndarray | Array, c: Cut, coding: Coding, index: int) -> Float[Array, "padded_frames joints 3"]:
     """Joint positions in cm, before any fit."""
     return synthesise(levels, step_cm(index), c.full, c.last, c.clip_count - 1, coding.bases.synthesis)
-
-
-def _to_motion(
-    skeleton: Skeleton,
-    positions: Float[Array, "padded_frames joints 3"],
-    scale: float,
-    expected: np.ndarray | None,
-    frames: int,
-    frame_time: float,
-    unit_cm: float | None,
-) -> Motion:
-    """Rotations fitted to positions in cm; where joints have position channels of their own, the positions as they are.
-
-    Raises CorruptStream where bones or joints are beyond what floats can hold.
-    """
-    in_units = np.asarray(positions)[:frames] / np.float32(scale)
-    if not recoverable(skeleton):
-        return Motion.from_positions(in_units, skeleton.names, frame_time, skeleton.parents, unit_cm)
-    try:
-        with np.errstate(over="ignore", invalid="ignore"):
-            values = recover(skeleton, in_units, expected).values.astype(np.float64)
-    except np.linalg.LinAlgError as error:
-        raise CorruptStream(f"the stream's bones fit no joints: {error}") from error
-    if not np.isfinite(values).all():
-        raise CorruptStream("the stream's bones or joints are beyond all measure")
-    return Motion(skeleton, values, frame_time, unit_cm)
 
 
 def _encode_chunk(form: str, clips: list[np.ndarray], coding: Coding, index: int, frame_rate: int) -> bytes:

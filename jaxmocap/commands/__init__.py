@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Annotated
+
+import tyro
+
 from .base import Command
 from .bench import Bench
 from .compare import Compare
@@ -12,11 +17,23 @@ from .export import Export
 from .info import Info
 from .ls import Ls
 from .pack import Pack
+from .stream import StreamDecode, StreamEncode
 from .train import Train
 from .unpack import Unpack
 from .view import View
 
-COMMANDS: dict[str, type[Command]] = {
+
+def stream(
+    what: tyro.conf.OmitArgPrefixes[
+        Annotated[StreamEncode, tyro.conf.subcommand("encode", prefix_name=False)]
+        | Annotated[StreamDecode, tyro.conf.subcommand("decode", prefix_name=False)]
+    ],
+) -> Command:
+    """Encode and decode frame by frame, through files, pipes and the network."""
+    return what
+
+
+COMMANDS: dict[str, Callable[..., Command]] = {
     "demo": Demo,
     "info": Info,
     "encode": Encode,
@@ -25,6 +42,7 @@ COMMANDS: dict[str, type[Command]] = {
     "pack": Pack,
     "unpack": Unpack,
     "ls": Ls,
+    "stream": stream,
     "train": Train,
     "export": Export,
     "view": View,
@@ -34,8 +52,6 @@ COMMANDS: dict[str, type[Command]] = {
 
 def parse(arguments: list[str]) -> Command:
     """The command of an argument list; prints help or a usage error and exits where there is none."""
-    import tyro
-
     return tyro.extras.subcommand_cli_from_dict(
         COMMANDS, prog="jaxmocap", description="Learned transforms for motion capture.", args=arguments
     )

@@ -27,6 +27,11 @@ class Command(abc.ABC):
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Print one JSON object instead of text."""
 
+    @property
+    def writes_stdout(self) -> bool:
+        """Whether standard output is where the command's data go, so that a report belongs elsewhere."""
+        return False
+
     @abc.abstractmethod
     def run(self) -> Report:
         """Do it. Raises JaxmocapError or OSError for bad input."""

@@ -6,14 +6,19 @@ import os
 import platform
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal, get_args
 
 import tyro
 
 from ..errors import JaxmocapError
 from .base import Command, Report
 
-Part = Literal["curves", "one_clip", "speeds", "shell", "first_frame", "bounds", "people", "rig"]
+PartOfRd = Literal["curves", "one_clip", "speeds", "shell", "first_frame", "bounds", "people", "rig"]
+PartOfLsdt = Literal[
+    "bases", "convergence", "sparsity", "spatial_transforms", "frame_based", "rate_distortion", "players", "packets", "speeds"
+]
+PARTS: dict[str, tuple[str, ...]] = {"rd": get_args(PartOfRd), "lsdt": get_args(PartOfLsdt)}
+FIGURES = Path("lsdt-figures")
 
 
 @dataclass(kw_only=True)
@@ -22,8 +27,11 @@ class Bench(Command):
 
     names: tyro.conf.Positional[tuple[Literal["lossless", "lsdt", "rd"], ...]]
     """What to measure."""
-    parts: tuple[Part, ...] = ()
-    """Only these parts of rd, of which people and rig train. Default: all."""
+    parts: tuple[Literal[PartOfRd, PartOfLsdt], ...] = ()
+    """Only these parts of rd, of which people and rig train, or of lsdt, of which sparsity trains. Default: all, and of
+    lsdt all that are tables."""
+    figures: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    """Draw the figures and Table 2 of the LSDT paper from lsdt, into the folder of --output or else lsdt-figures; all parts."""
     data: Path | None = None
     """The folder with cmu_bvh. Default: JAXMOCAP_DATA, or ../shared/data."""
     output: Path | None = None
@@ -33,15 +41,28 @@ class Bench(Command):
         from ..bench import BENCHES
         from ..bench.data import data_folder
 
-        if self.parts and "rd" not in self.names:
-            raise JaxmocapError("--parts are those of rd, which is not among what is measured")
+        if self.figures and "lsdt" not in self.names:
+            raise JaxmocapError("--figures are those of lsdt, which is not among what is measured")
+        parts = {name: self._parts_of(name) for name in self.names}
         folder = data_folder(self.data)
+        output = self.output or (FIGURES if self.figures else None)
         results: Report = {"machine": {"cores": os.cpu_count(), "python": platform.python_version()}}
         for name in self.names:
-            results[name] = BENCHES[name].measure(folder, *([self.parts] if name == "rd" else []))
-            if self.output is not None:
-                BENCHES[name].save(results[name], self.output)
+            results[name] = BENCHES[name].measure(folder, *parts[name])
+            if output is not None:
+                BENCHES[name].save(results[name], output)
         return results
+
+    def _parts_of(self, name: str) -> list[tuple[str, ...]]:
+        """What is passed on to a benchmark that has parts. Raises JaxmocapError where none of those named is of it."""
+        if name not in PARTS:
+            if self.parts and not set(self.names) & set(PARTS):
+                raise JaxmocapError(f"--parts are those of {' and '.join(PARTS)}, not of {name}")
+            return []
+        chosen = tuple(part for part in self.parts if part in PARTS[name])
+        if self.parts and not chosen:
+            raise JaxmocapError(f"--parts names none of {name}, which has {', '.join(PARTS[name])}")
+        return [PARTS[name] if self.figures and name == "lsdt" and not chosen else chosen]
 
     def text(self, report: Report) -> str:
         from ..bench import BENCHES

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 from jaxtyping import Float
 
@@ -56,24 +58,33 @@ def values_of(
         axes = xp.asarray(skeleton.axes, local.dtype).transpose(1, 2, 0)[..., None]
         local = rot.multiply(rot.multiply(rot.transpose(axes), local), axes)
     joints, frames = translations.shape[1:]
-    orders = [rotation_order(c) for c in skeleton.channels]
-    parts, rows = [translations.reshape(-1, frames)], 3 * joints
+    orders, columns = _layout(skeleton.channels)
+    parts = [translations.reshape(-1, frames)]
+    for order, of_order in orders:  # one Euler conversion an order serves all joints that share it
+        parts.append(xp.rad2deg(angles_of(local[:, :, of_order], order)).reshape(-1, frames))
+    return xp.concatenate(parts)[columns].T
+
+
+@functools.lru_cache(maxsize=64)
+def _layout(channels: tuple[tuple[str, ...], ...]) -> tuple[list[tuple[str, np.ndarray]], np.ndarray]:
+    """The joints of every rotation order; and of every channel its row, where all translations are followed by their angles."""
+    joints = len(channels)
+    orders = [rotation_order(c) for c in channels]
+    rows, found = 3 * joints, []
     first_angle: dict[int, tuple[int, int]] = {}  # of every joint: the row of its first angle, and the step to the next
-    # One Euler conversion an order serves all joints that share it.
     for order in sorted(set(orders) - {""}):
         of_order = [j for j, o in enumerate(orders) if o == order]
-        angles = angles_of(local[:, :, np.array(of_order)], order)
-        parts.append(xp.rad2deg(angles).reshape(-1, frames))
+        found.append((order, np.array(of_order)))
         first_angle |= {j: (rows + n, len(of_order)) for n, j in enumerate(of_order)}
         rows += len(order) * len(of_order)
     columns = []
-    for j, channels in enumerate(skeleton.channels):
+    for j, of_joint in enumerate(channels):
         turns = 0
-        for c in channels:
+        for c in of_joint:
             if c in POSITION_CHANNELS:
                 columns.append(POSITION_CHANNELS.index(c) * joints + j)
             else:
                 row, step = first_angle[j]
                 columns.append(row + turns * step)
                 turns += 1
-    return xp.concatenate(parts)[np.array(columns, int)].T
+    return found, np.array(columns, int)

@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from jaxtyping import Float
@@ -48,6 +48,32 @@ def parse_bvh(data: bytes, name: str, unit_cm: float | None = None) -> Motion:
 
     Raises FormatError, with file, line and mend, for anything that is not a whole BVH of finite numbers.
     """
+    head = parse_header(data, name)
+    count, body = head.frames, head.body
+    if count == 0:
+        raise text.error_at(data, head.frames_span[0], name, "Frames: says 0; wanted at least one frame")
+    values = text.numbers(data, body, name)
+    channels = head.skeleton.channel_count
+    if len(values) != count * channels:
+        raise _miscounted(data, body, name, count, channels, head.frames_span[0])
+    values = text.freeze(values.reshape(count, channels))
+    source = BvhSource("bvh", data, head.skeleton, values, head.frame_time, body, head.frames_span, head.frame_time_span)
+    return Motion(head.skeleton, values, head.frame_time, unit_cm, source)
+
+
+class Header(NamedTuple):
+    """What stands before the values, which begin at `body`, and where the two numbers stand."""
+
+    skeleton: Skeleton
+    frames: int
+    frame_time: float
+    body: int
+    frames_span: tuple[int, int]
+    frame_time_span: tuple[int, int]
+
+
+def parse_header(data: bytes, name: str) -> Header:
+    """The part before the values. Raises FormatError, with file, line and mend."""
     text.check_text(data, name)
     skeleton, at = _Hierarchy(data, name).read()
     frames = _labelled(_FRAMES, "Frames:", data, at, name)
@@ -59,18 +85,9 @@ def parse_bvh(data: bytes, name: str, unit_cm: float | None = None) -> Motion:
         frame_time = text.number(seconds[1])
     except ValueError as problem:
         raise text.error_at(data, at, name, str(problem)) from None
-    if count == 0:
-        raise text.error_at(data, frames.start(1), name, "Frames: says 0; wanted at least one frame")
     if frame_time <= 0:
         raise text.error_at(data, at, name, f"the frame time is {frame_time}; wanted seconds above 0, such as .0083333")
-    body = seconds.end()
-    values = text.numbers(data, body, name)
-    channels = skeleton.channel_count
-    if len(values) != count * channels:
-        raise _miscounted(data, body, name, count, channels, frames.start(1))
-    values = text.freeze(values.reshape(count, channels))
-    source = BvhSource("bvh", data, skeleton, values, frame_time, body, frames.span(1), seconds.span(1))
-    return Motion(skeleton, values, frame_time, unit_cm, source)
+    return Header(skeleton, count, frame_time, seconds.end(), frames.span(1), seconds.span(1))
 
 
 def write_bvh(motion: Motion, path: str | Path) -> None:
@@ -92,7 +109,7 @@ def format_bvh(motion: Motion) -> bytes:
     if motion.frame_time != source.frame_time:
         edits.append((*source.frame_time_span, repr(float(motion.frame_time)).encode()))
     if values.shape != source.values.shape:
-        rows = b"\n" + _rows(values, text.decimals_of(source.data, source.body))
+        rows = b"\n" + format_rows(values, text.decimals_of(source.data, source.body))
         edits = [(*source.frames_span, b"%d" % len(values)), *edits, (source.body, len(source.data), rows)]
     else:
         which = text.changed(values, source.values)
@@ -277,7 +294,13 @@ def _miscounted(
 
 def _format_new(motion: Motion, values: Float[np.ndarray, "frames channels"]) -> bytes:
     """A new file, joints in depth-first order."""
-    skeleton, values = _without_axes(motion.skeleton, values)
+    skeleton, values = without_axes(motion.skeleton, values)
+    header, columns = format_header(skeleton, str(len(values)), motion.frame_time)
+    return header + format_rows(values[:, columns], 6)
+
+
+def format_header(skeleton: Skeleton, frames: str, frame_time: float) -> tuple[bytes, list[int]]:
+    """What stands before the values, joints in depth-first order, and the order that columns have then."""
     lines, order = ["HIERARCHY"], []
     children = skeleton.children
     ends: list[list[int]] = [[] for _ in skeleton.names]
@@ -303,13 +326,12 @@ def _format_new(motion: Motion, values: Float[np.ndarray, "frames channels"]) ->
                 f"{pad}\tEnd Site", pad + "\t{", f"{pad}\t\tOFFSET {_vector(skeleton.end_offsets[e])}", pad + "\t}"
             ]
         pending += [(-1, depth), *((child, depth + 1) for child in reversed(children[j]))]
+    lines += ["MOTION", f"Frames: {frames}", f"Frame Time: {float(frame_time)!r}\n"]
     first = skeleton.first_column
-    columns = [first[j] + n for j in order for n in range(len(skeleton.channels[j]))]
-    lines += ["MOTION", f"Frames: {len(values)}", f"Frame Time: {float(motion.frame_time)!r}\n"]
-    return "\n".join(lines).encode() + _rows(values[:, columns], 6)
+    return "\n".join(lines).encode(), [first[j] + n for j in order for n in range(len(skeleton.channels[j]))]
 
 
-def _rows(values: Float[np.ndarray, "frames channels"], decimals: int) -> bytes:
+def format_rows(values: Float[np.ndarray, "frames channels"], decimals: int) -> bytes:
     row = " ".join([f"%.{decimals}f"] * values.shape[1]) + "\n"
     return "".join([row % tuple(frame) for frame in values.tolist()]).encode()
 
@@ -323,7 +345,7 @@ def _line_name(name: str) -> str:
     return " ".join(name.replace("{", "(").replace("\0", " ").splitlines()).strip()
 
 
-def _without_axes(
+def without_axes(
     skeleton: Skeleton, values: Float[np.ndarray, "frames channels"]
 ) -> tuple[Skeleton, Float[np.ndarray, "frames channels"]]:
     """The same motion in joint frames parallel to the parent's: C R C^T as Z, Y, X rotations, in double precision."""

@@ -35,6 +35,8 @@ _MEANING = {
     "runs.*.value": "frequencies less one of magnitudes: context, symbol",
     "paper.*.position": "Huffman code lengths of positions: coordinate, component",
     "paper.*.value": "Huffman code lengths of values: octave of the step, symbol",
+    "frame.position": "Huffman code lengths of positions: first or later frame, octave of the step, coordinate, component",
+    "frame.value": "Huffman code lengths of values: first or later frame, octave of the step, coordinate, symbol",
     "bones.mean": "mean bones in 2^-16 cm: joint offsets, then end sites",
     "bones.spread": "how far each component of a bone strays: 16 log2 cm",
     "bones.partner": "an earlier bone that strays alike, or -1",

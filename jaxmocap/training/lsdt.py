@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import functools
 from pathlib import Path
 
-import equinox as eqx
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
 from ..codecs import coefficients_paper, coefficients_runs
 from ..codecs.artifact import Artifact, make_artifact
@@ -22,18 +18,10 @@ from ..codecs.lsdt_clip import CHUNK_CLIPS
 from ..codecs.lsdt_model import CLIP_FRAMES, LsdtModel, nearest
 from ..codecs.quantise import PER_OCTAVE, STEPS, quantise, step_cm
 from ..errors import FormatError
-from ..features.recovery import recoverable
-from ..kinematics import local_rotations, pose
-from ..skeleton import Skeleton
-from ..transforms import dct_matrix, fit_lsdt, growing
 from .corpus import Corpus
 from .loop import Stage, State, run
-from .rigs import fit_rig
+from .positions import BASIS_ITEMS, ITERATIONS, SPARSITY, PositionCorpus
 
-SPARSITY = 8
-ITERATIONS = 300
-SAMPLES = 11360
-_ITERATIONS_AN_ITEM = 50
 # One step an octave, from 1/8 cm to 256 cm: the contexts are relative to the step, so what lies between is alike.
 STEP_INDICES = range(4 * PER_OCTAVE + PER_OCTAVE // 2, STEPS, PER_OCTAVE)
 
@@ -72,45 +60,18 @@ class _Trainer:
     """The stages, each a fold over the files of the corpus; every number that they pass on lies in the state."""
 
     def __init__(self, corpus: Corpus, sparsity: int):
-        rigs = corpus.rigs()
-        skeleton = rigs[0][0]
-        if len(rigs) > 1:
-            others = ", ".join(f"{r.files[0].name} and {len(r.files) - 1} more" for _, r in rigs[1:])
-            raise FormatError(f"the corpus has {len(rigs)} rigs; a model is for one: train apart from the first {others}")
-        if not recoverable(skeleton):
-            raise FormatError(f"{corpus.files[0]}: joints move along their bones in this rig; lsdt-clip needs rigid bones")
-        self.corpus = corpus
+        self.source = PositionCorpus(corpus, "lsdt-clip")
         self.sparsity = sparsity
-        self.skeleton = skeleton
-        self.joints = skeleton.joint_count
+        self.joints = self.source.joints
 
     def stages(self) -> list[Stage]:
-        files = len(self.corpus.files)
+        files = len(self.source.corpus.files)
         return [
-            Stage("reading", files, self._read),
-            Stage("learning the bases", ITERATIONS // _ITERATIONS_AN_ITEM, self._fit),
+            Stage("reading", files, self.source.read),
+            Stage("learning the bases", BASIS_ITEMS, self._fit),
             Stage("measuring magnitudes", files, self._measure),
             Stage("counting symbols", files, self._count),
         ]
-
-    def _positions(self, item: int) -> Float[np.ndarray, "frames joints 3"]:
-        """Of one file, in cm. The stages go over the files one after another, so the last ones are kept at hand."""
-        return _positions(self.corpus, self.corpus.files[item])
-
-    def _read(self, state: State, item: int) -> State:
-        """Frame counts, bones and mean rotations; frames for the bases are taken at an even pace over the corpus."""
-        motion = self.corpus.motion(self.corpus.files[item])
-        positions = self._positions(item)
-        chosen = np.linspace(0, motion.frame_count - 1, 256).astype(int)
-        turned = _local_rotations(motion.skeleton, jnp.asarray(motion.values[chosen]))
-        bones = np.concatenate([motion.skeleton.offsets, motion.skeleton.end_offsets])
-        return {
-            "frames": np.append(state.get("frames", np.zeros(0, np.int64)), motion.frame_count),
-            "bones": np.concatenate([state.get("bones", np.zeros((0, *bones.shape))), bones[None]]),
-            "rotations": state.get("rotations", 0.0) + np.asarray(turned.sum(0), np.float64),
-            "unit": np.array([motion.scale, motion.frame_time]),
-            "kept": np.concatenate([state.get("kept", np.zeros((0, self.joints, 3), np.float32)), positions[::8]]),
-        }
 
     def _fit(self, state: State, item: int) -> State:
         longest = int(state["frames"].max())
@@ -119,17 +80,7 @@ class _Trainer:
                 f"the longest file of the corpus has {longest} frames: lsdt-clip learns from clips of {CLIP_FRAMES[-1]}, and "
                 "needs a file of about that many"
             )
-        kept = state["kept"]
-        chosen = kept[np.linspace(0, len(kept) - 1, min(SAMPLES, len(kept))).astype(int)]
-        samples = jnp.asarray(np.ascontiguousarray(chosen.transpose(2, 0, 1)))
-        part = growing(min(self.sparsity, self.joints), ITERATIONS).reshape(-1, _ITERATIONS_AN_ITEM)[item]
-        start = state.get("basis")
-        if start is None:
-            start = np.tile(dct_matrix(self.joints).astype(np.float32), (3, 1, 1))
-        fits = [fit_lsdt(samples[d : d + 1], jnp.asarray(start[d]), part) for d in range(3)]
-        basis = np.concatenate([np.asarray(f.transform.basis) for f in fits])
-        curve = np.concatenate([np.asarray(f.objective[:-1]) for f in fits], 1)
-        return {**state, "basis": basis, "objective": np.concatenate([state.get("objective", curve[:0]), curve])}
+        return self.source.learn_bases(state, item, self.sparsity)
 
     def _measure(self, state: State, item: int) -> State:
         """Sums of magnitudes by coordinate, band and component."""
@@ -163,7 +114,7 @@ class _Trainer:
 
     def _chunks(self, state: State, item: int, frames: int, index: int | None = None) -> list[list[np.ndarray]]:
         """The coefficients of a file's clips (3, frequencies, components), chunk by chunk; or their levels at a step."""
-        positions = self._positions(item)
+        positions = self.source.positions(item)
         c = cut(len(positions), frames)
         coefficients = analyse(to_clips(positions, c), c.full, c.last, c.clip_count - 1, state["basis"])
         values = np.asarray(coefficients if index is None else quantise(coefficients, step_cm(index)))
@@ -175,26 +126,9 @@ class _Trainer:
 
     def model(self, state: State) -> LsdtModel:
         """The model of the final state."""
-        s = self.skeleton
-        people = [
-            Skeleton(s.names, s.parents, b[: self.joints], s.channels, s.end_joints, b[self.joints :], s.axes)
-            for b in np.unique(state["bones"], axis=0)
-        ]
-        unit_cm, frame_time = (float(x) for x in state["unit"])
-        rig = fit_rig(people, state["rotations"], unit_cm, frame_time)
         tables = {f: _Seen.of(state, f, self.joints).tables(_scale(state, f)) for f in CLIP_FRAMES}
         codes = {f: _Seen.of(state, f, self.joints).codes() for f in CLIP_FRAMES}
-        return LsdtModel(rig, Bases(state["basis"], state["basis"]), tables, codes)
-
-
-_local_rotations = eqx.filter_jit(local_rotations)
-
-
-@functools.lru_cache(maxsize=2)
-def _positions(corpus: Corpus, file: Path) -> Float[np.ndarray, "frames joints 3"]:
-    """In cm; each stage needs a file once for every clip length."""
-    motion = corpus.motion(file)
-    return np.asarray(pose(motion).positions) * np.float32(motion.scale)
+        return LsdtModel(self.source.rig(state), Bases(state["basis"], state["basis"]), tables, codes)
 
 
 def _scale(state: State, frames: int) -> np.ndarray:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
@@ -30,10 +31,19 @@ def _draw_lsdt(figure: Figure, report: dict) -> None:
         left.semilogy(curve, label=name)
     left.set(title="objective (6) as the bases are learned", xlabel="iteration", ylabel="cm²")
     left.legend()
-    right.loglog(report["steps_cm"], report["nonzeros_a_frame"], "o-")
-    right.set(title="what is left to code", xlabel="quantiser step, cm", ylabel="nonzero coefficients a frame")
-    for axes in (left, right):
-        axes.grid(alpha=0.3)
+    left.grid(alpha=0.3)
+    _draw_nonzeros(right, report)
+
+
+def _draw_dct(figure: Figure, report: dict) -> None:
+    """Nonzero coefficients a frame over the step."""
+    _draw_nonzeros(figure.subplots(), report)
+
+
+def _draw_nonzeros(axes: Axes, report: dict) -> None:
+    axes.loglog(report["steps_cm"], report["nonzeros_a_frame"], "o-")
+    axes.set(title="what is left to code", xlabel="quantiser step, cm", ylabel="nonzero coefficients a frame")
+    axes.grid(alpha=0.3)
 
 
 def _draw_exact(figure: Figure, report: dict) -> None:
@@ -57,4 +67,10 @@ def _draw_learned(figure: Figure, report: dict) -> None:
         axes.grid(alpha=0.3)
 
 
-_DRAWINGS = {"learned": _draw_learned, "lsdt-clip": _draw_lsdt, "exact": _draw_exact}
+_DRAWINGS = {
+    "learned": _draw_learned,
+    "lsdt-clip": _draw_lsdt,
+    "lsdt-frame": _draw_lsdt,
+    "dct-frame": _draw_dct,
+    "exact": _draw_exact,
+}

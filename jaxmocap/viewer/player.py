@@ -30,10 +30,13 @@ class Track(NamedTuple):
     names: tuple[str, ...]
 
 
-def player_html(tracks: Sequence[Track], frame_time: float, unit: str = "cm", subtitle: str = "") -> str:
+def player_html(
+    tracks: Sequence[Track], frame_time: float, unit: str = "cm", subtitle: str = "", heat: float | None = None
+) -> str:
     """The page, whole, that plays one track, or two (original and decoded) with their distance joint by joint.
 
-    `frame_time` is in seconds; `unit` names the unit of the positions. Errors are embedded as computed here from the
+    `frame_time` is in seconds; `unit` names the unit of the positions; `heat` is the error at which the colour scale ends,
+    by default the one that 99.5 % of joints and frames stay below. Errors are embedded as computed here from the
     positions as given; the positions that are drawn are rounded (see `_embed_positions`). Both figures are drawn with
     the tree and the names of the first. Raises ValueError unless there are one or two tracks, finite, with at least
     one frame and joint, and two agree in frames and joints.
@@ -54,7 +57,7 @@ def player_html(tracks: Sequence[Track], frame_time: float, unit: str = "cm", su
         # The 5th percentile of the lowest joint: a calibration pose that hangs below the floor does not move the floor.
         "ground": float(np.quantile(first[..., 1].min(-1), 0.05)),
         **_embed_positions(positions, max(1, round(CAMERA_SECONDS / frame_time))),
-        "errors": _embed_errors(first, positions[1]) if len(tracks) == 2 else None,
+        "errors": _embed_errors(first, positions[1], heat) if len(tracks) == 2 else None,
     }
     # "<" is written as an escape, so that no title can close the script element that holds the data.
     fields = {
@@ -65,8 +68,10 @@ def player_html(tracks: Sequence[Track], frame_time: float, unit: str = "cm", su
     return re.sub(r"\{\{(title|data)\}\}", lambda field: fields[field[1]], template)
 
 
-def motion_player(a: Motion, b: Motion | None = None, titles: tuple[str, str] = ("original", "decoded")) -> str:
-    """The page that plays motion `a`, beside `b` where given, drawn through forward kinematics.
+def motion_player(
+    a: Motion, b: Motion | None = None, titles: tuple[str, str] = ("original", "decoded"), heat: float | None = None
+) -> str:
+    """The page that plays motion `a`, beside `b` where given, drawn through forward kinematics; `heat` as in `player_html`.
 
     Lengths are in cm, or in file units where the unit of `a` is unknown. Raises ValueError as `player_html` does.
     """
@@ -75,7 +80,7 @@ def motion_player(a: Motion, b: Motion | None = None, titles: tuple[str, str] = 
         for title, m in zip(titles, (a, b), strict=True)
         if m is not None
     ]
-    return player_html(tracks, a.frame_time, "units" if a.unit_cm is None else "cm")
+    return player_html(tracks, a.frame_time, "units" if a.unit_cm is None else "cm", heat=heat)
 
 
 def _validate(tracks: Sequence[Track], frame_time: float) -> None:
@@ -119,9 +124,9 @@ def _embed_positions(positions: list[Float[np.ndarray, "frames joints 3"]], smoo
 
 
 def _embed_errors(
-    a: Float[np.ndarray, "frames joints 3"], b: Float[np.ndarray, "frames joints 3"]
+    a: Float[np.ndarray, "frames joints 3"], b: Float[np.ndarray, "frames joints 3"], heat: float | None
 ) -> dict[str, object]:
-    """Distance of every joint, its mean and maximum a frame and overall, and where the colour scale ends by default."""
+    """Distance of every joint, its mean and maximum a frame and overall, and where the colour scale ends at first."""
     error = np.linalg.norm(a - b, axis=-1)
     return {
         "joints": _base64(error.astype("<f4")),
@@ -130,7 +135,7 @@ def _embed_errors(
         "meanOverall": float(error.mean()),
         "maxOverall": float(error.max()),
         # The percentile keeps a single jump from washing out the colours of everything else.
-        "scale": float(np.quantile(error, 0.995)) or float(error.max()) or 1.0,
+        "scale": heat or float(np.quantile(error, 0.995)) or float(error.max()) or 1.0,
     }
 
 

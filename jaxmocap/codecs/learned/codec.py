@@ -79,7 +79,7 @@ class Learned(AbstractCodec):
         """
         if not motion.frame_count or not (np.abs(motion.values) < _LARGEST).all():
             raise JaxmocapError(f"the motion has no frames, or values that are not finite numbers below {_LARGEST:g}")
-        motion = _codable(motion)
+        motion = codable(motion)
         model = model_of(self.artifact)
         known = model.rig.skeleton.same_rig(motion.skeleton)
         scale = motion.unit_cm or (model.rig.unit_cm if known else 1.0)
@@ -87,10 +87,10 @@ class Learned(AbstractCodec):
         aim = Target(asked.kind, asked.cm * scale / motion.scale)
         write = write_known if known else write_own_setting
         setting, sources = write(motion, scale, model, self.metric, typical_mean(aim))
-        original = _points(motion, self.metric, motion.scale)
+        original = points_as_measured(motion, self.metric, motion.scale)
         while True:
             data = self._stream(motion, model, setting, sources, aim)
-            decoded = _points(decode(read_stream(data), self.artifact), self.metric, motion.scale)
+            decoded = points_as_measured(decode(read_stream(data), self.artifact), self.metric, motion.scale)
             error = _error(original - decoded, asked.kind)
             if error <= asked.cm:
                 return data
@@ -154,7 +154,7 @@ def decode(stream: Stream, at_hand: Artifact | None, frames: slice | None = None
     return Motion(skeleton, values[start - skipped : stop - skipped], frame_time, unit_cm)
 
 
-def _codable(motion: Motion) -> Motion:
+def codable(motion: Motion) -> Motion:
     """The motion with a skeleton whose rotations have Euler orders; what has none becomes free joints, or positions."""
     s = motion.skeleton
     if has_euler_orders(s):
@@ -166,7 +166,7 @@ def _codable(motion: Motion) -> Motion:
     return Motion.from_positions(positions, s.names, motion.frame_time, s.parents, motion.unit_cm)
 
 
-def _points(motion: Motion, metric: Metric, scale: float) -> Float[np.ndarray, "3 points frames"]:
+def points_as_measured(motion: Motion, metric: Metric, scale: float) -> Float[np.ndarray, "3 points frames"]:
     """What the metric looks at, in cm, or in file units where the unit is unknown: as everybody else will measure it."""
     figure = PoseVectors(in_cm(motion.skeleton, scale), _upright(motion.skeleton))
     return points_of(figure, metric, *figure.analyse(motion, scale))

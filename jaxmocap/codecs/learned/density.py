@@ -38,8 +38,9 @@ class Density(eqx.Module):
     biases: list[Float[Array, " outputs"]]
 
     @staticmethod
-    def init(inputs: int, hidden: int, key: PRNGKeyArray) -> Density:
-        sizes = (inputs, hidden, hidden, OUTPUTS)
+    def init(inputs: int, hidden: int, key: PRNGKeyArray, outputs: int = OUTPUTS) -> Density:
+        """Outputs beyond the first four are the caller's own."""
+        sizes = (inputs, hidden, hidden, outputs)
         keys = jax.random.split(key, len(sizes) - 1)
         weights = [
             jax.random.normal(k, (a, b)) * np.sqrt(2.0 / a) for k, a, b in zip(keys, sizes, sizes[1:], strict=False)

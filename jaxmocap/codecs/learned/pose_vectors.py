@@ -110,7 +110,7 @@ def _spread(turned: A, turning: np.ndarray, still: A, joints: int) -> A:
 
 def _continuous_vectors(rotations: Float[np.ndarray, "frames joints 3 3"]) -> Float[np.ndarray, "frames joints 3"]:
     """Rotation vectors that do not jump from frame to frame, up to a length of a whole turn."""
-    q = _quaternions(rotations)
+    q = quaternions(rotations)
     turned = np.cumprod(np.where((q[1:] * q[:-1]).sum(-1) < 0, -1.0, 1.0), 0)
     q[1:] *= turned[..., None]
     q *= np.where(q[..., 0].sum(0) < 0, -1.0, 1.0)[None, :, None]
@@ -131,15 +131,25 @@ def local_rotations(motion: Motion) -> Float[np.ndarray, "frames joints 3 3"]:
     s = motion.skeleton
     angles = np.deg2rad(motion.values)
     local = np.tile(np.eye(3)[..., None, None], (1, 1, s.joint_count, len(angles)))
-    orders = [rotation_order(channels) for channels in s.channels]
-    for order in set(orders) - {""}:
-        joints = [j for j, o in enumerate(orders) if o == order]
-        columns = [[s.first_column[j] + n for n, c in enumerate(s.channels[j]) if c in ROTATION_CHANNELS] for j in joints]
-        local[:, :, joints] = rot.from_euler(angles[:, np.array(columns)].transpose(2, 1, 0), order)
+    for order, joints, columns in angle_columns(s.channels):
+        local[:, :, joints] = rot.from_euler(angles[:, columns].transpose(2, 1, 0), order)
     if s.has_axes:
         axes = s.axes.transpose(1, 2, 0)[..., None]
         local = rot.multiply(rot.multiply(axes, local), rot.transpose(axes))
     return local.transpose(3, 2, 0, 1)
+
+
+@functools.lru_cache(maxsize=64)
+def angle_columns(channels: tuple[tuple[str, ...], ...]) -> list[tuple[str, list[int], np.ndarray]]:
+    """Of every rotation order: its joints, and the columns of their angles, (joints, angles)."""
+    first = np.cumsum([0, *map(len, channels)]).tolist()
+    orders = [rotation_order(of_joint) for of_joint in channels]
+    found = []
+    for order in sorted(set(orders) - {""}):
+        joints = [j for j, o in enumerate(orders) if o == order]
+        columns = [[first[j] + n for n, c in enumerate(channels[j]) if c in ROTATION_CHANNELS] for j in joints]
+        found.append((order, joints, np.array(columns)))
+    return found
 
 
 def _heading(rotations: Float[np.ndarray, "frames 3 3"]) -> Float[np.ndarray, " frames"]:
@@ -148,7 +158,7 @@ def _heading(rotations: Float[np.ndarray, "frames 3 3"]) -> Float[np.ndarray, " 
     return np.unwrap(np.arctan2(r[:, 0, 2] - r[:, 2, 0], r[:, 0, 0] + r[:, 2, 2]))
 
 
-def _quaternions(rotations: Float[np.ndarray, "frames joints 3 3"]) -> Float[np.ndarray, "frames joints 4"]:
+def quaternions(rotations: Float[np.ndarray, "frames joints 3 3"]) -> Float[np.ndarray, "frames joints 4"]:
     """w, x, y, z."""
     from scipy.spatial.transform import Rotation  # which decoders need not wait for
 

@@ -96,9 +96,7 @@ class Trainer:
         self.items = len(corpus.files) * (2 if _has_sides(rigs[0][0]) else 1)
 
     def stages(self) -> list[Stage]:
-        files = self.items
-        stages = [Stage("mean pose", files, self._add_rotations), Stage("moments", files, self._add_moments)]
-        stages += [Stage("spectra", len(METRICS), self._fit_spectrum)]
+        files, stages = self.items, self.basis_stages()
         for name, epochs in _EPOCHS.items():
             stages += [Stage(f"{name} levels", files, functools.partial(self._add_levels, name))]
             stages += [Stage(f"{name} densities", 2 * epochs, functools.partial(self._fit_density, name))]
@@ -106,9 +104,17 @@ class Trainer:
                 stages += [Stage(f"basis of {m}", _REFINING, functools.partial(self._refine, m)) for m in METRICS]
         return stages
 
+    def basis_stages(self) -> list[Stage]:
+        """Up to a Karhunen-Loeve basis for every metric."""
+        return [
+            Stage("mean pose", self.items, self._add_rotations),
+            Stage("moments", self.items, self._add_moments),
+            Stage("spectra", len(METRICS), self._fit_spectrum),
+        ]
+
     def model(self, state: State) -> LearnedModel:
         return LearnedModel(
-            self._rig(state), {m: self._basis(state, m) for m in METRICS}, self._densities(state), state["constants"],
+            self.rig(state), {m: self.basis(state, m) for m in METRICS}, self._densities(state), state["constants"],
             fit_bones(np.unique(state["bones"], axis=0) * state["unit"][0]),
         )  # fmt: skip
 
@@ -146,7 +152,7 @@ class Trainer:
         unknown = Spectrum(np.zeros((1, 3 + len(synthesis))), np.zeros((1, 3 + len(synthesis))))
         turn_cm = float(np.float32(np.sqrt(state[f"{metric}.radius"][0] / count)))
         basis = Basis(_rounded(mean, np.float32), _rounded(synthesis, np.float16), turn_cm, unknown)
-        coefficients = (self._coefficients(state, basis, n)[1] for n in range(self.items))
+        coefficients = (self.coefficients(state, basis, n)[1] for n in range(self.items))
         spectrum = fit_spectrum([bands.forward(y, self._octaves(state)) for y in coefficients])
         return {
             **state,
@@ -160,7 +166,7 @@ class Trainer:
             state = {key: value for key, value in state.items() if not key.startswith("levels.")}
         random = np.random.default_rng([item, *name.encode()])
         for metric in METRICS:
-            basis = self._basis(state, metric)
+            basis = self.basis(state, metric)
             for draw in range(_DRAWS[name]):
                 finest, coarsest = _FINE_STEPS_CM if random.random() < _FINE_SHARE else _STEPS_CM[name]
                 index = int(random.integers(index_of(finest), index_of(coarsest)))
@@ -173,7 +179,7 @@ class Trainer:
     def _levels(self, state: State, metric: Metric, basis: Basis, item: int, index: int, optimal: bool) -> Levels:
         octaves, step = self._octaves(state), step_cm(index)
         if not optimal:
-            _, y = self._coefficients(state, basis, item)
+            _, y = self.coefficients(state, basis, item)
             wanted = bands.forward(y, octaves)
             return [(np.sign(w) * np.floor(np.abs(w) / step + 0.33)).astype(np.int64) for w in wanted]
         figure, path, body = self._vectors(state, item)
@@ -234,7 +240,7 @@ class Trainer:
         """Made once a stage, so that its step is compiled once."""
         if self._refinement_made is None or self._refinement_made.metric != metric:
             figure, octaves = self._vectors(state, 0)[0], self._octaves(state)
-            parts = (figure, metric, octaves, self._basis(state, metric), self._densities(state))
+            parts = (figure, metric, octaves, self.basis(state, metric), self._densities(state))
             self._refinement_made = Refinement(*parts, steps)
         return self._refinement_made
 
@@ -251,7 +257,7 @@ class Trainer:
         }
         for stem in sorted({key.rpartition(".")[0] for key in state if key.startswith("levels.")}):
             _, item, of, _, index = stem.split(".")
-            basis = self._basis(state, next(metric for metric in METRICS if metric == of))
+            basis = self.basis(state, next(metric for metric in METRICS if metric == of))
             levels = []
             while f"{stem}.{len(levels)}" in state:
                 band = state[f"{stem}.{len(levels)}"]
@@ -270,7 +276,7 @@ class Trainer:
         motion = self.corpus.motion(self.files[item % len(self.files)])
         return motion if item < len(self.files) else mirrored(motion)
 
-    def _rig(self, state: State) -> Rig:
+    def rig(self, state: State) -> Rig:
         first = self._motion(0).skeleton
         people = [with_bones(first, bones) for bones in np.unique(state["bones"], axis=0)]
         return fit_rig(people, state["rotations"], float(state["unit"][0]), float(state["unit"][1]))
@@ -279,12 +285,12 @@ class Trainer:
         """Figure, path and body of an item about the mean pose, which is settled before any stage asks."""
         if item not in self._analysed:
             motion = self._motion(item)
-            mean = _rounded(self._rig(state).expected, np.float32)
+            mean = _rounded(self.rig(state).expected, np.float32)
             figure = PoseVectors(in_cm(motion.skeleton, motion.scale), mean)
             self._analysed[item] = (figure, *figure.analyse(motion, motion.scale))
         return self._analysed[item]
 
-    def _coefficients(self, state: State, basis: Basis, item: int) -> tuple[int, np.ndarray]:
+    def coefficients(self, state: State, basis: Basis, item: int) -> tuple[int, np.ndarray]:
         _, path, body = self._vectors(state, item)
         direction = direction_of(path)
         return direction, basis.coefficients(path, body, direction)
@@ -292,7 +298,7 @@ class Trainer:
     def _octaves(self, state: State) -> int:
         return bands.octave_count(float(state["unit"][1]))
 
-    def _basis(self, state: State, metric: Metric) -> Basis:
+    def basis(self, state: State, metric: Metric) -> Basis:
         parts = (state[f"{metric}.{name}"] for name in ("mean", "synthesis", "turn_cm", "slow", "fast"))
         mean, synthesis, turn_cm, slow, fast = parts
         return Basis(mean, synthesis, float(turn_cm[0]), Spectrum(slow, fast))

@@ -1,0 +1,37 @@
+"""How fine a live stream is, frame by frame: towards an error or a rate that is asked for, on average over a second or two."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from .packets import NO_OFFSET, OFFSETS
+
+_MEMORY = 1 / 120
+_GAIN = 0.02  # quarter octaves a frame for an octave too much
+
+
+@dataclass
+class Control:
+    """`of` is what `wanted` speaks of: "error" in cm, "rate" in bytes a packet, or "step", which stays."""
+
+    of: Literal["error", "rate", "step"]
+    wanted: float
+    _offset: float = float(NO_OFFSET)
+    _average: float | None = None
+
+    @property
+    def offset(self) -> int:
+        """Of the next frame's step."""
+        return round(self._offset)
+
+    def saw(self, error_cm: float, size: int) -> None:
+        """What the last frame's error and packet were."""
+        if self.of == "step":
+            return
+        seen = error_cm if self.of == "error" else float(size)
+        self._average = seen if self._average is None else self._average + _MEMORY * (seen - self._average)
+        excess = math.log2(max(self._average, 1e-6) / self.wanted)
+        finer = excess if self.of == "error" else -excess
+        self._offset = min(max(self._offset - _GAIN * min(max(finer, -2.0), 2.0), 0.0), OFFSETS - 1.0)
