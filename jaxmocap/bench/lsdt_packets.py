@@ -20,7 +20,6 @@ from ..metrics import compare
 from ..motion import Motion
 
 SHOWN_FROM = 48
-TARGETS_CM = (0.3, 0.5, 1.0)
 REPEATS = (0, 1)
 _TRIES, _CLOSE, _STEP = 6, 0.99, 0.03
 
@@ -95,7 +94,7 @@ def meeting(send: Sender, motion: Motion, cm: float) -> Packets:
     return best
 
 
-def rows(motions: Mapping[str, Motion], targets: Sequence[float] = TARGETS_CM) -> dict[str, list[dict]]:
+def rows(motions: Mapping[str, Motion], targets: Sequence[float]) -> dict[str, list[dict]]:
     """Of each method a row a target, which every clip meets by itself: bytes a packet, and ratio to float32 positions."""
     found: dict[str, list[dict]] = {"lsdt-frame": []} | {name_of(repeats): [] for repeats in REPEATS}
     for cm in targets:

@@ -8,8 +8,9 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from ..codecs import AbstractCodec, Target, load_artifact, make
+from ..codecs import CODECS, AbstractCodec, Target, load_artifact, make
 from ..formats import read_motion
+from ..formats.text import write_bytes
 from ..training.lsdt import train_lsdt
 from ..training.lsdt_frame import train_lsdt_frame
 from . import lsdt, lsdt_methods, lsdt_packets, lsdt_players, lsdt_speeds
@@ -19,20 +20,50 @@ from .lsdt_methods import CLIP_BASED, FRAME_BASED, Method
 from .lsdt_text import text as text
 
 FRAME_TARGETS_CM = (0.1, 0.3, 0.5, 1.0, 1.6, 2.4)
+CLIP_TARGETS_CM = (0.3, 0.5, 1.0, 1.6, 2.4)
+PACKET_TARGETS_CM = (0.3, 0.5, 1.0)
 MEAN_CM = 1.0  # where one error has to do
 COLD, FAST, SEEN = "09_06", "02_05", "05_02"  # the clips of the cold start, of speeds and of players
+FOUR = ("09_01", "02_05", "05_02", "06_14")  # those of Fig. 4, long and short
 PICTURES = ("bases", "players")  # parts without a table
 
 
-def measure(data: Path, parts: Sequence[str] = ()) -> dict:
-    """All parts that have a table, or those named, on `data`, on one core."""
-    result = {}
+def measure(data: Path, parts: Sequence[str] = (), partial: Path | None = None) -> dict:
+    """All parts that have a table, or those named, on `data`, on one core.
+
+    What is done lies in the file `partial`, if one is named, until all is, so that a run that was cut short goes on there.
+    """
+    names = parts or [name for name in PARTS if name not in PICTURES]
+    result = _kept(partial, data)
     with one_core():
-        for name in parts or [name for name in PARTS if name not in PICTURES]:
-            _say(name)
-            result[name] = PARTS[name](data)
+        for name in names:
+            if name not in result:
+                _say(name)
+                result[name] = PARTS[name](data)
+                _keep(partial, data, result)
+    if partial is not None:
+        partial.unlink(missing_ok=True)
+    result = {name: result[name] for name in names}
     curves = {**result.get("frame_based", {}), **result.get("rate_distortion", {})}
     return {**result, "table": lsdt_methods.table(curves, MEAN_CM)} if curves else result
+
+
+def _keep(partial: Path | None, data: Path, result: dict) -> None:
+    if partial is not None:
+        partial.parent.mkdir(parents=True, exist_ok=True)
+        write_bytes(partial, json.dumps({"of": _measured(data), "parts": result}).encode())
+
+
+def _kept(partial: Path | None, data: Path) -> dict:
+    """The parts that a run before has left, if it was one with these models and this data."""
+    if partial is None or not partial.is_file():
+        return {}
+    kept = json.loads(partial.read_bytes())
+    return kept["parts"] if kept["of"] == _measured(data) else {}
+
+
+def _measured(data: Path) -> list[str]:
+    return [str(data), *(load_artifact(name).digest for name in CODECS)]
 
 
 def bases(_: Path) -> dict[str, list]:
@@ -46,8 +77,8 @@ def convergence(data: Path) -> dict[str, list]:
 
 
 def sparsity(data: Path) -> dict[str, dict]:
-    """Fig. 4: whole models for each P, of both schemes."""
-    motions, corpus = test_motions(data), train_corpus(data)
+    """Fig. 4: whole models for each P, of both schemes, on four clips."""
+    motions, corpus = {name: m for name, m in test_motions(data).items() if name in FOUR}, train_corpus(data)
     found: dict[str, dict] = {}
     for name, train in (("lsdt-frame", train_lsdt_frame), ("lsdt-clip", train_lsdt)):
         _say(f"  models of {name} for P = {', '.join(map(str, lsdt.SPARSITIES))}")
@@ -56,7 +87,7 @@ def sparsity(data: Path) -> dict[str, dict]:
             def codec(target: Target, name=name, artifact=artifact) -> AbstractCodec:
                 return make({"codec": name, "target": target}, artifact)
 
-            found.setdefault(name, {})[f"P={p}"] = lsdt.rate_distortion(motions, codec)
+            found.setdefault(name, {})[f"P={p}"] = lsdt.rate_distortion(motions, codec, CLIP_TARGETS_CM)
     return found
 
 
@@ -72,7 +103,7 @@ def frame_based(data: Path) -> dict[str, list]:
 
 def rate_distortion(data: Path) -> dict[str, list]:
     """Fig. 7: clips and sequences, and ours."""
-    return _curves(data, CLIP_BASED, lsdt.TARGETS_CM)
+    return _curves(data, CLIP_BASED, CLIP_TARGETS_CM)
 
 
 def players(data: Path) -> dict:
@@ -83,7 +114,7 @@ def players(data: Path) -> dict:
 
 def packets(data: Path) -> dict[str, list]:
     """One packet a frame."""
-    return lsdt_packets.rows(test_motions(data))
+    return lsdt_packets.rows(test_motions(data), PACKET_TARGETS_CM)
 
 
 def speeds(data: Path) -> dict:

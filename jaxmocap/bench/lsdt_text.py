@@ -40,8 +40,10 @@ def _rate_distortion(result: dict) -> list[str]:
 
 
 def _sparsity(result: dict) -> list[str]:
-    lines = ["sparsity P of the bases (Fig. 4), whole models trained for each:"]
-    for codec, curves in result["sparsity"].items():
+    found = result["sparsity"]
+    clips = ", ".join(_clips(next(iter(found.values()))))
+    lines = [f"sparsity P of the bases (Fig. 4), whole models trained for each; {clips} together:"]
+    for codec, curves in found.items():
         lines += _ratios({f"{codec} {p}": rows for p, rows in curves.items()})
     return lines
 

@@ -45,15 +45,18 @@ class Bench(Command):
             raise JaxmocapError("--figures are those of lsdt, which is not among what is measured")
         parts = {name: self._parts_of(name) for name in self.names}
         folder = data_folder(self.data)
-        output = self.output or (FIGURES if self.figures else None)
         results: Report = {"machine": {"cores": os.cpu_count(), "python": platform.python_version()}}
         for name in self.names:
             results[name] = BENCHES[name].measure(folder, *parts[name])
-            if output is not None:
-                BENCHES[name].save(results[name], output)
+            if self._output is not None:
+                BENCHES[name].save(results[name], self._output)
         return results
 
-    def _parts_of(self, name: str) -> list[tuple[str, ...]]:
+    @property
+    def _output(self) -> Path | None:
+        return self.output or (FIGURES if self.figures else None)
+
+    def _parts_of(self, name: str) -> list[tuple[str, ...] | Path | None]:
         """What is passed on to a benchmark that has parts. Raises JaxmocapError where none of those named is of it."""
         if name not in PARTS:
             if self.parts and not set(self.names) & set(PARTS):
@@ -62,7 +65,9 @@ class Bench(Command):
         chosen = tuple(part for part in self.parts if part in PARTS[name])
         if self.parts and not chosen:
             raise JaxmocapError(f"--parts names none of {name}, which has {', '.join(PARTS[name])}")
-        return [PARTS[name] if self.figures and name == "lsdt" and not chosen else chosen]
+        if name == "lsdt":
+            return [chosen or PARTS[name] if self.figures else chosen, self._output and self._output / "lsdt.partial"]
+        return [chosen]
 
     def text(self, report: Report) -> str:
         from ..bench import BENCHES

@@ -143,8 +143,12 @@ def open_packet_sink(address: Address) -> PacketSink:
         raise JaxmocapError(f"{address.text} says nowhere to send to; over UDP it is the receiver who listens")
     family, place = _resolved(address, socket.SOCK_DGRAM)
     sender = socket.socket(family, socket.SOCK_DGRAM)
-    with _named(address):
-        sender.connect(place)
+    try:
+        with _named(address):
+            sender.connect(place)
+    except OSError:
+        sender.close()
+        raise
     return DatagramSink(sender)
 
 
@@ -158,9 +162,9 @@ def _connected(address: Address) -> socket.socket:
             with _named(address):
                 caller.connect(place)
             return _prompt(caller)
-        except ConnectionRefusedError:
+        except OSError as error:
             caller.close()
-            if time.monotonic() > until:
+            if not isinstance(error, ConnectionRefusedError) or time.monotonic() > until:
                 raise
             time.sleep(0.1)
     listener = socket.socket(family, socket.SOCK_STREAM)
@@ -171,8 +175,12 @@ def _connected(address: Address) -> socket.socket:
 
 
 def _bound(address: Address, socket_: socket.socket, place: tuple) -> socket.socket:
-    with _named(address):
-        socket_.bind(place)
+    try:
+        with _named(address):
+            socket_.bind(place)
+    except OSError:
+        socket_.close()
+        raise
     print(f"jaxmocap: listens at {address.kind} port {socket_.getsockname()[1]}", file=sys.stderr, flush=True)
     return socket_
 

@@ -25,13 +25,14 @@ class BvhReader:
         """`name` stands in messages."""
         self.skeleton: Skeleton | None = None
         self.frame_time = 0.0
-        self._name, self._waiting, self._row, self._line = name, b"", [], 0
+        self._name, self._waiting, self._line = name, b"", 0
+        self._row: list[bytes] = []
+        self._returned = False  # a line feed that comes next ends no other line
 
     def feed(self, data: bytes) -> list[Float[np.ndarray, " channels"]]:
         """The frames that these bytes end. Raises FormatError, with the line."""
-        if self._waiting.endswith(b"\r") and data.startswith(b"\n"):
-            self._line -= 1  # one line end in two parts
-        self._waiting += data
+        self._waiting += data.removeprefix(b"\n") if self._returned else data
+        self._returned = data.endswith(b"\r")
         if self.skeleton is None and not self._read_header():
             return []
         lines = _LINE_END.split(self._waiting)

@@ -28,11 +28,10 @@ from .encoder import encode_frames
 from .levels import Tables, decode_first, decode_frame, encode_first, encode_frame
 from .model import LiveModel
 from .setting import FINENESS, OWN_RIG, Setting, figure_of, read_setting, write_setting
-from .tracker import State, advance, look, place_of, step_units, to_units
+from .tracker import FINEST_STEP, State, advance, look, place_of, step_units, to_units
 
 NUMBER = 7
 CHUNK_FRAMES = 4096
-FINEST_STEP = 48  # 2^-11 cm: below, a step has too few units
 _MOST_AT_ONCE = 1 << 23  # joints times frames
 _LARGEST = 1e9  # degrees or file units
 _DIRECTION_BITS = DIRECTIONS.bit_length() - 1

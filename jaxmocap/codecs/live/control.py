@@ -9,22 +9,20 @@ from typing import Literal
 from .packets import NO_OFFSET, OFFSETS
 
 _MEMORY = 1 / 120
+_STAY = 0.8  # a step of its own costs a packet some bits
 _GAIN = 0.02  # quarter octaves a frame for an octave too much
 
 
 @dataclass
 class Control:
-    """`of` is what `wanted` speaks of: "error" in cm, "rate" in bytes a packet, or "step", which stays."""
+    """`of` is what `wanted` speaks of: "error" in cm, "rate" in bytes a packet, or "step", which stays. `offset` is that of the
+    next frame's step."""
 
     of: Literal["error", "rate", "step"]
     wanted: float
-    _offset: float = float(NO_OFFSET)
+    offset: int = NO_OFFSET
+    _aim: float = float(NO_OFFSET)
     _average: float | None = None
-
-    @property
-    def offset(self) -> int:
-        """Of the next frame's step."""
-        return round(self._offset)
 
     def saw(self, error_cm: float, size: int) -> None:
         """What the last frame's error and packet were."""
@@ -34,4 +32,6 @@ class Control:
         self._average = seen if self._average is None else self._average + _MEMORY * (seen - self._average)
         excess = math.log2(max(self._average, 1e-6) / self.wanted)
         finer = excess if self.of == "error" else -excess
-        self._offset = min(max(self._offset - _GAIN * min(max(finer, -2.0), 2.0), 0.0), OFFSETS - 1.0)
+        self._aim = min(max(self._aim - _GAIN * min(max(finer, -2.0), 2.0), 0.0), OFFSETS - 1.0)
+        if abs(self._aim - self.offset) > _STAY:
+            self.offset = round(self._aim)

@@ -11,13 +11,14 @@ from .tracker import Outlook, Prior, State, advance, look, place_of, step_units
 # A level is rounded up from this fraction of a step on: what is thresholded may still come right by itself, and what
 # does not is coded a frame later.
 ROUNDING = 0.4
-_ROUNDING = round(ROUNDING * 256)
 
 
-def choose_levels(wanted: Int[np.ndarray, " components"], outlook: Outlook, step_index: int) -> Int[np.ndarray, " components"]:
+def choose_levels(
+    wanted: Int[np.ndarray, " components"], outlook: Outlook, step_index: int, rounding: float = ROUNDING
+) -> Int[np.ndarray, " components"]:
     """For places wanted, in 2^-14 cm."""
     step, off = step_units(step_index), wanted - outlook.place
-    return np.sign(off) * ((np.abs(off) + (step * _ROUNDING >> 8)) // step)
+    return np.sign(off) * ((np.abs(off) + int(step * rounding)) // step)
 
 
 def encode_frames(

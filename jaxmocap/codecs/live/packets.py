@@ -1,6 +1,6 @@
 """One frame as one packet, which can be read without any other: three bytes of framing, then a range-coded string.
 
-The framing is a number, modulo 4080, and a checksum. The string holds, now and then, a symbol of the fountain from which a
+The framing is a number, modulo 4050, and a checksum. The string holds, now and then, a symbol of the fountain from which a
 receiver learns whose motion it is; how fine this frame's step is; the places of the few components whose turn it is to be
 refreshed, or of all; and the levels of the others. Frames before it may be told again, in case they were lost. The length
 of a packet is not in it: datagrams have one.
@@ -20,16 +20,17 @@ from ..entropy.range_coder import PythonDecoder, PythonEncoder
 from ..entropy.tables import FrequencyTable
 from ..learned.steps import STEPS
 from .events import Density, read_integer, read_moved, write_integer, write_moved
+from .tracker import FINEST_STEP
 
 FRAMING_BYTES = 3
-REFRESH_FRAMES = 48  # within which it is every component's turn once
-NUMBERS = 85 * REFRESH_FRAMES  # as many whole turns as 12 bits can count
+REFRESH_FRAMES = 54  # within which it is every component's turn once
+NUMBERS = 75 * REFRESH_FRAMES  # as many whole turns as 12 bits can count
 OFFSETS = 16
 NO_OFFSET = OFFSETS // 2
 PER_OFFSET = 4  # sixteenths of an octave
 _HAS_SYMBOL = FrequencyTable.from_counts(np.array([7, 1]))
 _IS_WHOLE = FrequencyTable.from_counts(np.array([255, 1]))
-_OFFSETS = FrequencyTable.from_counts(np.array([1, 1, 1, 1, 2, 4, 8, 24, 96, 24, 8, 4, 2, 1, 1, 1]))
+_OFFSETS = FrequencyTable.from_counts(np.array([1, 1, 1, 1, 1, 2, 4, 16, 200, 16, 4, 2, 1, 1, 1, 1]))
 _SYMBOL_BITS = 16
 MOST_BYTES = 1 << 11
 MOST_REPEATS = 3
@@ -53,7 +54,7 @@ def refreshed(number: int, components: int) -> Int[np.ndarray, " refreshed"]:
 
 def step_of(step_index: int, offset: int) -> int:
     """The index of a frame's step, where the stream's is `step_index`."""
-    return min(max(step_index + PER_OFFSET * (offset - NO_OFFSET), 0), STEPS - 1)
+    return min(max(step_index + PER_OFFSET * (offset - NO_OFFSET), FINEST_STEP), STEPS - 1)
 
 
 def write_packet(number: int, frames: Sequence[Frame], step_index: int, density: Density, symbol: int | None) -> bytes:

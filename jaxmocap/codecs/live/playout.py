@@ -41,6 +41,8 @@ class Playout:
         if number is None or self._next is None or not -_AHEAD <= number - self._next <= _AHEAD:
             shown = self._decoder.push(packet)
             return [] if shown is None else self._from(shown, now)
+        if self._still:
+            self._offsets.clear()  # who paused has another clock now
         if number <= self._next:
             self._offsets.append(now - number * self._frame_time)
         if number < self._next:

@@ -18,7 +18,7 @@ from ..learned.distortion import Metric
 from ..learned.figure import in_cm
 from ..learned.steps import index_of
 from .analysis import Analysis
-from .codec import FINEST_STEP, MEAN_STEPS, fineness_for, model_of
+from .codec import fineness_for, model_of
 from .control import Control
 from .encoder import choose_levels
 from .events import Density
@@ -38,11 +38,13 @@ from .packets import (
     write_packet,
 )
 from .setting import OWN_RIG, Setting, figure_of, read_setting, write_setting
-from .tracker import UNITS, Outlook, State, advance, concealed, look, place_of, step_units, to_units
+from .tracker import FINEST_STEP, UNITS, Outlook, State, advance, concealed, look, place_of, step_units, to_units
 
 _OF_MEAN = 0.8  # the mean error, of the root of the mean square that components add up to
+_MEAN_STEPS = 1.42  # the mean error is about so many steps
 _BITS_AT_1_CM, _FALL = 25.0, 0.75
 _HELLO_FRAMES = 48  # within which a receiver shall have heard who moves
+_ROUNDING = 0.45  # of levels: a packet that has none has whole bytes all the same
 _LATE = 16  # frames: a packet that is later than that mends nothing
 _ASTRAY = 240  # frames: a number that is further ahead is believed when the next packet says so, too
 _LARGEST = 1e9
@@ -87,38 +89,35 @@ class Encoder:
             cm = float(np.clip((_BITS_AT_1_CM / (8 * bytes_a_packet)) ** (1 / _FALL), 0.05, 10.0))
         else:
             self._control = Control(of, cm)
-        self._index = max(index_of(cm if of == "step" else cm / MEAN_STEPS), FINEST_STEP)
+        self._index = max(index_of(cm if of == "step" else cm / _MEAN_STEPS), FINEST_STEP)
         self._setting = write_setting(skeleton, self._scale, self.model, metric, fineness_for(cm))
         self._analysis = Analysis(figure_of(skeleton, self._scale, self._setting), self._scale)
         self._density = Density(self._setting.prior, self.model)
         self._digest = digest_of(artifact)
         self._number = 0
         self._repeats = repeats
-        self._told: deque[Frame] = deque(maxlen=repeats + 1)
+        self._told: deque[Frame] = deque(maxlen=repeats)
         self._state: State | None = None
 
     def push(self, values: Float[np.ndarray, " channels"]) -> bytes:
         """The packet of the next frame: channel values in degrees and file units. Raises JaxmocapError for bad values."""
         wanted = self._wanted(np.asarray(values, np.float64))
-        state, number = self._state, self._number
-        offset = self._control.offset
-        index = max(step_of(self._index, offset), FINEST_STEP)
-        step, everyone = step_units(index), np.arange(len(wanted))
-        turn = refreshed(number, len(wanted)) if state is not None else everyone
-        places = np.rint(wanted[turn] / step).astype(np.int64)
-        levels = np.zeros_like(wanted)
-        if state is None:
-            self._state = State.at(places * step)
+        index, number = step_of(self._index, self._control.offset), self._number
+        if self._state is None:
+            frame = Frame(self._control.offset, True, _steps(wanted, index), np.zeros_like(wanted))
+            self._state = State.at(frame.places * step_units(index))
         else:
-            outlook = look(state, self._setting.prior, self.model.network, index)
-            levels = choose_levels(wanted, outlook, index)
+            turn = refreshed(number, len(wanted))
+            outlook = look(self._state, self._setting.prior, self.model.network, index)
+            levels = choose_levels(wanted, outlook, index, _ROUNDING)
             levels[turn] = 0
-            self._state = _advanced(state, outlook, levels, turn, places, index)
-        self._told.appendleft(Frame(offset, state is None, places, levels))
+            frame = Frame(self._control.offset, False, _steps(wanted[turn], index), levels)
+            self._state = _advanced(self._state, outlook, levels, turn, frame.places, index)
         symbol = self._fountain.symbol(number) if number % self._every == 0 else None
-        packet = write_packet(number, self._told, self._index, self._density, symbol)
+        packet = write_packet(number, [frame, *self._told], self._index, self._density, symbol)
         off = (wanted - self._state.place) / UNITS
         self._control.saw(_OF_MEAN * float(np.sqrt(off @ off)), len(packet))
+        self._told.appendleft(frame)
         self._number += 1
         return packet
 
@@ -150,7 +149,7 @@ class Encoder:
             self._fountain = Fountain(hello.to_bytes())
         except ValueError as error:
             raise JaxmocapError(f"the skeleton is too large to be streamed: {error}") from error
-        self._every = max(_HELLO_FRAMES // (self._fountain.needed + 1), 1)
+        self._every = max(_HELLO_FRAMES // self._fountain.needed, 1)
 
 
 class Shown(NamedTuple):
@@ -228,7 +227,7 @@ class Decoder:
         return self._receiver.step(self._last, None)
 
     def _whole_number(self, short: int) -> int | None:
-        """The number of the frame, of which the packet has what 4080 leaves over; None where it is not believed yet."""
+        """The number of the frame, of which the packet has what 4050 leaves over; None where it is not believed yet."""
         if self._last is None:
             return short
         number = self._last + (short - self._last + NUMBERS // 2) % NUMBERS - NUMBERS // 2
@@ -331,7 +330,7 @@ class _Receiver:
 
     def _after(self, number: int, state: State, frame: Frame | None) -> State:
         self._offset = self._offset if frame is None else frame.offset
-        index = max(step_of(self._hello.step_index, self._offset), FINEST_STEP)
+        index = step_of(self._hello.step_index, self._offset)
         count = len(state.place)
         if frame is not None and frame.whole:
             self._heard[:] = True
@@ -342,6 +341,11 @@ class _Receiver:
         turn = refreshed(number, count)
         self._heard[turn] = True
         return _advanced(state, outlook, frame.levels, turn, frame.places, index)
+
+
+def _steps(places: Int[np.ndarray, " places"], index: int) -> Int[np.ndarray, " places"]:
+    """The nearest whole steps."""
+    return np.rint(places / step_units(index)).astype(np.int64)
 
 
 def _advanced(state: State, outlook: Outlook, levels: np.ndarray, turn: np.ndarray, places: np.ndarray, index: int) -> State:

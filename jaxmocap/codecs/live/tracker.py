@@ -17,6 +17,7 @@ from ..learned.density import STOPS, FrozenDensity
 from ..learned.steps import level_of_step
 
 UNITS = 1 << 14  # a centimetre
+FINEST_STEP = 48  # 2^-11 cm: below, a step has too few units
 FOLLOWING = (1, 2, 3, 4)  # averages of places over 2, 4, 8, 16 frames: what a lost packet leaves in them is soon gone
 BUSY = (2, 3, 5)  # averages of levels over 4, 8, 32 frames
 EMBEDDING = 4
