@@ -292,7 +292,7 @@ def test_who_joins_late_is_right_within_half_a_second(clip: Motion, first: int):
 
 
 def test_who_joins_after_the_numbers_went_round(motion: Motion):
-    """Packets count to 4080, which is 34 seconds."""
+    """Packets count to 4050, which is 34 seconds."""
     frames = np.concatenate([motion.values] * (NUMBERS // len(motion.values) + 1))
     packets = packets_of(motion.with_values(frames))
     assert len(packets) > NUMBERS + 180

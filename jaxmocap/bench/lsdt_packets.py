@@ -1,7 +1,7 @@
 """One packet a frame: bytes with their framing for a mean error that the frames as shown have, beside the continuous file.
 
-A receiver that joins has seen every component once after 48 frames at the latest: all packets count, and errors from
-frame 48 on, of both methods alike.
+A receiver that joins in the middle has heard every component after REFRESH_FRAMES frames at the latest: all packets count,
+and errors from that frame on, of all methods alike.
 """
 
 from __future__ import annotations
@@ -13,19 +13,19 @@ from typing import NamedTuple
 import numpy as np
 
 from ..codecs import Target, lsdt_frame, make
-from ..codecs.live.packets import FRAMING_BYTES
+from ..codecs.live.packets import FRAMING_BYTES, REFRESH_FRAMES
 from ..codecs.live.stream import Decoder, Encoder
 from ..errors import JaxmocapError
 from ..metrics import compare
 from ..motion import Motion
 
-SHOWN_FROM = 48
+SHOWN_FROM = REFRESH_FRAMES
 REPEATS = (0, 1)
 _TRIES, _CLOSE, _STEP = 6, 0.99, 0.03
 
 
 class Packets(NamedTuple):
-    """Bytes of a clip's packets, framing included, and the mean joint error in cm from frame 48 on, where `asked` was asked."""
+    """Bytes of all packets of a clip, framing included, and the mean joint error in cm, where `asked` was asked for."""
 
     asked: float
     bytes: int

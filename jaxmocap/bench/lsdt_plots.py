@@ -14,12 +14,11 @@ Curves = Mapping[str, list[dict]]
 
 
 def bases(result: dict) -> Figure:
-    """Fig. 2: matrices whose columns are basis functions, each from its least value (black) to its largest."""
+    """Fig. 2: matrices whose columns are basis functions, each divided by its largest value; grey is zero."""
     figure = Figure(figsize=(12, 3.4), layout="constrained")
     for axes, (name, basis) in zip(figure.subplots(1, len(result["bases"])), result["bases"].items(), strict=True):
         columns = np.array(basis).T
-        low, high = columns.min(0), columns.max(0)
-        axes.imshow((columns - low) / np.where(high > low, high - low, 1.0), cmap="gray", interpolation="nearest")
+        axes.imshow(columns / np.abs(columns).max(0), cmap="gray", vmin=-1, vmax=1, interpolation="nearest")
         axes.set(title=name.upper(), xlabel="basis function", ylabel="joint", xticks=[], yticks=[])
     return figure
 

@@ -129,7 +129,7 @@ def decode(stream: Stream, at_hand: Artifact | None, frames: slice | None = None
     parts = []
     for n, payload in enumerate(payloads, first):
         held = min(header.chunk_frames, header.frames - n * header.chunk_frames)
-        direction, places = _read_chunk(payload, held, setting, model)
+        direction, places = read_chunk(payload, held, setting, model)
         parts.append(setting.values(places, direction, scale))
     values = np.concatenate(parts)
     if not np.isfinite(values).all():
@@ -184,7 +184,7 @@ def _write_chunk(direction: int, levels: np.ndarray, setting: Setting, model: Li
     return encoder.finish()
 
 
-def _read_chunk(
+def read_chunk(
     data: bytes, frames: int, setting: Setting, model: LiveModel
 ) -> tuple[int, Int[np.ndarray, "frames components"]]:
     """Direction and places. Raises CorruptStream where no encoder wrote such bytes."""

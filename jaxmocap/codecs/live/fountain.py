@@ -1,8 +1,8 @@
 """A few bytes as a fountain of 16-bit symbols: whichever of them arrive, about as many as the bytes need are enough.
 
 Symbol n is the value at n of the polynomial over GF(2^16) whose values at 4096, 4097, ... are the data (Reed and Solomon
-1960). The receiver does not know how long the data are: it takes them to be whole when all symbols but one foretell the
-last, and the checksum inside holds.
+1960). The receiver does not know how long the data are: it takes them to be whole when the symbols that came last
+foretell one more, and the checksum inside holds.
 """
 
 from __future__ import annotations
@@ -41,25 +41,47 @@ class Fountain:
 
 
 class Basin:
-    """Gathers symbols until they are whole."""
+    """Gathers symbols until those that came last are whole: one that is false spoils nothing but those before it.
+
+    Kept are Newton's divided differences: one of order k that is zero says that k symbols foretold one more.
+    """
 
     def __init__(self) -> None:
         self._symbols: dict[int, int] = {}
+        self._differences: list[int] = []  # over the last symbol, the last two, and so on
+
+    def __len__(self) -> int:
+        return len(self._symbols)
 
     def add(self, number: int, symbol: int) -> bytes | None:
         """The data, as soon as there are enough symbols."""
-        if number in self._symbols or len(self._symbols) > POINTS // 2:
+        if number in self._symbols:
             return None
-        points, values = (np.array(list(x), np.int64) for x in (self._symbols, self._symbols.values()))
-        self._symbols[number] = symbol
-        if not len(points) or _interpolated(points, values, np.array([number]))[0] != symbol:
-            return None
-        wanted = _interpolated(points, values, POINTS + np.arange(len(points)))
-        whole = wanted.astype(">u2").tobytes()
+        if len(self._symbols) == POINTS // 2:
+            self.__init__()
+        differences = [symbol]
+        for point, before in zip(reversed(self._symbols), self._differences, strict=True):
+            differences.append(_quotient(differences[-1] ^ before, number ^ point))
+        self._symbols[number], self._differences = symbol, differences
+        for count in range(1, len(differences)):
+            data = self._data(count) if differences[count] == 0 else None
+            if data is not None:
+                return data
+        return None
+
+    def _data(self, count: int) -> bytes | None:
+        """What the last `count` symbols say, where the checksum holds."""
+        points, values = (np.array(list(x)[-count:], np.int64) for x in (self._symbols, self._symbols.values()))
+        whole = _interpolated(points, values, POINTS + np.arange(count)).astype(">u2").tobytes()
         for stop in (len(whole) - _CHECK_BYTES, len(whole) - _CHECK_BYTES - 1):
             if stop >= 0 and whole[stop:].rstrip(b"\0") == _check(whole[:stop]).rstrip(b"\0"):
                 return whole[:stop]
         return None
+
+
+def _quotient(value: int, divisor: int) -> int:
+    powers, logarithms = _tables()
+    return int(powers[(logarithms[value] - logarithms[divisor]) % _ORDER]) if value else 0
 
 
 def _check(data: bytes) -> bytes:

@@ -14,7 +14,7 @@ from ...features.channels import has_euler_orders
 from ...skeleton import Skeleton
 from ..artifact import Artifact, find_artifact, load_artifact
 from ..learned.basis import direction_of
-from ..learned.distortion import Metric
+from ..learned.distortion import Metric, points_of
 from ..learned.figure import in_cm
 from ..learned.steps import index_of
 from .analysis import Analysis
@@ -38,9 +38,9 @@ from .packets import (
     write_packet,
 )
 from .setting import OWN_RIG, Setting, figure_of, read_setting, write_setting
-from .tracker import FINEST_STEP, UNITS, Outlook, State, advance, concealed, look, place_of, step_units, to_units
+from .tracker import FINEST_STEP, Outlook, State, advance, concealed, look, place_of, step_units, to_cm, to_units
 
-_OF_MEAN = 0.8  # the mean error, of the root of the mean square that components add up to
+_MEASURED = 8  # every so many frames an error is
 _MEAN_STEPS = 1.42  # the mean error is about so many steps
 _BITS_AT_1_CM, _FALL = 25.0, 0.75
 _HELLO_FRAMES = 48  # within which a receiver shall have heard who moves
@@ -115,8 +115,10 @@ class Encoder:
             self._state = _advanced(self._state, outlook, levels, turn, frame.places, index)
         symbol = self._fountain.symbol(number) if number % self._every == 0 else None
         packet = write_packet(number, [frame, *self._told], self._index, self._density, symbol)
-        off = (wanted - self._state.place) / UNITS
-        self._control.saw(_OF_MEAN * float(np.sqrt(off @ off)), len(packet))
+        if self._control.of == "rate":
+            self._control.saw(len(packet))
+        elif self._control.of == "error" and number % _MEASURED == 0:
+            self._control.saw(self._error(), _MEASURED)
         self._told.appendleft(frame)
         self._number += 1
         return packet
@@ -127,10 +129,17 @@ class Encoder:
             raise JaxmocapError(
                 f"frame {self._number} has values of shape {values.shape}, wanted {self.skeleton.channel_count} finite numbers"
             )
-        path, body = self._analysis.of(values)
+        self._pose = path, body = self._analysis.of(values)
         if self._state is None:
             self._begin(direction_of(path))
         return to_units(self._setting.basis.coefficients(path, body, self._direction))[0]
+
+    def _error(self) -> float:
+        """Of the last frame as receivers have it, in cm, by the metric."""
+        assert self._state is not None
+        decoded = self._setting.basis.vectors(to_cm(self._state.place)[None], self._direction)
+        original = points_of(self._analysis.figure, self.metric, *self._pose)
+        return float(np.linalg.norm(points_of(self._setting.figure, self.metric, *decoded) - original, axis=0).mean())
 
     def _begin(self, direction: int) -> None:
         self._direction, rig = direction, self.model.rig
