@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from .lsdt import of_clip
 
@@ -82,7 +83,7 @@ def clip_length(result: dict) -> Figure:
 
 def table(result: dict) -> Figure:
     """Table 2."""
-    head = ("method", "latency,\nframes", "parameters,\nset + found", "encode,\nframes/s", "decode,\nframes/s", "besides",
+    head = ("method", "latency,\nframes", "parameters,\nset + found", "encode,\nframes/s", "decode,\nframes/s", "also needed,\nand from where",
             "ratio\nat 1 cm")  # fmt: skip
     cells = [
         (row["method"], "all" if row["latency_frames"] is None else str(row["latency_frames"]),
@@ -119,7 +120,11 @@ def _draw(axes: Axes, curves: Curves, clip: str | None) -> None:
         line = "--" if name.startswith("paper") else "-"
         axes.loglog([r["ratio"] for r in rows], [r["mean_cm"] for r in rows], f"o{line}", markersize=3, label=name)
     axes.set(xlabel="compression ratio", ylabel="mean error, cm")
-    axes.grid(alpha=0.3, which="both")
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter(NullFormatter())
+    axes.grid(alpha=0.3)
 
 
 def _clips(curves: Curves) -> list[str]:

@@ -129,9 +129,9 @@ def open_packet_source(address: Address) -> PacketSource:
     """Over UDP it is the receiver who listens."""
     if address.kind != "udp":
         return LengthSource(open_source(address))
-    family, place = _resolved(address, socket.SOCK_DGRAM)
-    bound = _bound(address, socket.socket(family, socket.SOCK_DGRAM), place)
+    bound = _bound(address, socket.SOCK_DGRAM)
     bound.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BYTES)
+    _announce(address, bound)
     return DatagramSource(bound)
 
 
@@ -141,60 +141,62 @@ def open_packet_sink(address: Address) -> PacketSink:
         return LengthSink(open_sink(address))
     if address.host is None:
         raise JaxmocapError(f"{address.text} says nowhere to send to; over UDP it is the receiver who listens")
-    family, place = _resolved(address, socket.SOCK_DGRAM)
-    sender = socket.socket(family, socket.SOCK_DGRAM)
-    try:
-        with _named(address):
+    with _named(address):
+        family, *_, place = socket.getaddrinfo(address.host, address.port, type=socket.SOCK_DGRAM)[0]
+        sender = socket.socket(family, socket.SOCK_DGRAM)
+        try:
             sender.connect(place)
-    except OSError:
-        sender.close()
-        raise
+        except OSError:
+            sender.close()
+            raise
     return DatagramSink(sender)
 
 
 def _connected(address: Address) -> socket.socket:
     """The one who connects may come a little before the one who listens."""
-    family, place = _resolved(address, socket.SOCK_STREAM)
+    if address.host is None:
+        with _bound(address, socket.SOCK_STREAM) as listener:
+            listener.listen(1)
+            _announce(address, listener)
+            return _prompt(listener.accept()[0])
     until = time.monotonic() + _PATIENCE_SECONDS
-    while address.host is not None:
-        caller = socket.socket(family, socket.SOCK_STREAM)
+    while True:
         try:
             with _named(address):
-                caller.connect(place)
-            return _prompt(caller)
-        except OSError as error:
-            caller.close()
-            if not isinstance(error, ConnectionRefusedError) or time.monotonic() > until:
+                return _prompt(socket.create_connection((address.host, address.port)))
+        except ConnectionRefusedError:
+            if time.monotonic() > until:
                 raise
             time.sleep(0.1)
-    listener = socket.socket(family, socket.SOCK_STREAM)
-    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    with _bound(address, listener, place):
-        listener.listen(1)
-        return _prompt(listener.accept()[0])
 
 
-def _bound(address: Address, socket_: socket.socket, place: tuple) -> socket.socket:
-    try:
-        with _named(address):
-            socket_.bind(place)
-    except OSError:
-        socket_.close()
-        raise
-    print(f"jaxmocap: listens at {address.kind} port {socket_.getsockname()[1]}", file=sys.stderr, flush=True)
-    return socket_
-
-
-def _prompt(socket_: socket.socket) -> socket.socket:
-    socket_.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    return socket_
-
-
-def _resolved(address: Address, kind: socket.SocketKind) -> tuple[int, tuple]:
-    """Family and address for a socket."""
+def _bound(address: Address, kind: socket.SocketKind) -> socket.socket:
+    """Without a host, at all addresses of this machine."""
+    both = address.host is None and socket.has_dualstack_ipv6()
     with _named(address):
-        found = socket.getaddrinfo(address.host, address.port, type=kind, flags=socket.AI_PASSIVE)[0]
-    return found[0], found[4]
+        host = "::" if both else address.host
+        family, *_, place = socket.getaddrinfo(host, address.port, type=kind, flags=socket.AI_PASSIVE)[0]
+        bound = socket.socket(family, kind)
+        try:
+            if both:
+                bound.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 0)
+            if kind == socket.SOCK_STREAM:
+                bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            bound.bind(place)
+        except OSError:
+            bound.close()
+            raise
+    return bound
+
+
+def _announce(address: Address, bound: socket.socket) -> None:
+    print(f"jaxmocap: listens at {address.kind} port {bound.getsockname()[1]}", file=sys.stderr, flush=True)
+
+
+def _prompt(connected: socket.socket) -> socket.socket:
+    """Sends what is small at once."""
+    connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return connected
 
 
 @contextlib.contextmanager
