@@ -22,12 +22,15 @@ from jaxmocap.codecs.live.packets import NUMBERS, REFRESH_FRAMES, framed, refres
 from jaxmocap.codecs.live.setting import write_setting
 from jaxmocap.codecs.live.stream import Decoder, Encoder
 from jaxmocap.errors import CorruptStream, JaxmocapError
-from jaxmocap.formats import read_motion
+from jaxmocap.formats import read_motion, write_motion
 from jaxmocap.kinematics import pose
 from jaxmocap.metrics import compare
 from jaxmocap.motion import Motion
 from jaxmocap.skeleton import POSITION_CHANNELS, Skeleton
+from jaxmocap.synthesis import UNIT_CM as SYNTHETIC_UNIT_CM
 from jaxmocap.synthesis import walk
+from jaxmocap.training import Corpus, train_live
+from jaxmocap.training.live import train as live_training
 from jaxmocap.training.live.rollout import Batch, rollout
 
 MODEL = model_of(load_artifact("live"))
@@ -278,6 +281,39 @@ def test_levels_are_nearest_but_for_the_dead_zone(wanted):
     for off, level in ((0.55, 0), (0.65, 1), (1.5, 1), (1.7, 2), (-0.65, -1)):
         found = choose_levels(outlook.place + int(off * step), outlook, INDEX)
         assert (found == level).all()
+
+
+@pytest.fixture(scope="module")
+def corpus(tmp_path_factory) -> Corpus:
+    folder = tmp_path_factory.mktemp("walks")
+    for seed in (1, 2):
+        write_motion(walk(seed=seed, seconds=2.0), folder / f"walk{seed}.bvh")
+    return Corpus.of([folder], SYNTHETIC_UNIT_CM)
+
+
+def test_training_resumes_to_the_same_model_which_codes(corpus, tmp_path, monkeypatch):
+    artifact, report = train_live(corpus, tmp_path / "whole")
+    assert artifact.spec["codec"] == report["codec"] == "live" and report["frames"] == 480
+    curve = report["curves"]["network"]
+    assert np.isfinite(curve).all() and curve[-1] < 0.9 * curve[0]
+    assert report["curves"]["packets"][-1] < report["curves"]["packets"][0]
+
+    class Interrupted(Exception):
+        pass
+
+    def interrupted(*arguments):
+        raise Interrupted
+
+    with monkeypatch.context() as patch, pytest.raises(Interrupted):
+        patch.setattr(live_training, "encode_frames", interrupted)  # when packets are made
+        train_live(corpus, tmp_path / "part")
+    assert train_live(corpus, tmp_path / "part")[0].digest == artifact.digest
+
+    motion = walk(seed=3, seconds=1.0)
+    codec = make({"codec": "live", "metric": "joints", "target": {"kind": "mean", "cm": 1.0}}, artifact)
+    data = codec.encode(motion)
+    mean_cm = compare(motion, codec.decode(data))["mean_cm"]
+    assert isinstance(mean_cm, float) and mean_cm <= 1.0 and len(data) < 120 * 40
 
 
 def test_the_file_has_fewer_bytes_than_packets_and_holds_its_target(data_dir):

@@ -83,8 +83,8 @@ def clip_length(result: dict) -> Figure:
 
 def table(result: dict) -> Figure:
     """Table 2."""
-    head = ("method", "latency,\nframes", "parameters,\nset + found", "encode,\nframes/s", "decode,\nframes/s", "also needed,\nand from where",
-            "ratio\nat 1 cm")  # fmt: skip
+    head = ("method", "latency,\nframes", "parameters,\nset + found", "encode,\nframes/s", "decode,\nframes/s",
+            "also needed,\nand from where", "ratio\nat 1 cm")  # fmt: skip
     cells = [
         (row["method"], "all" if row["latency_frames"] is None else str(row["latency_frames"]),
          f"{len(row['set'])} + {len(row['found'])}", f"{row['encode_fps']:,.0f}", f"{row['decode_fps']:,.0f}", row["besides"],

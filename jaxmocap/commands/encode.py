@@ -30,7 +30,9 @@ class Encode(Command):
     output: Output
     """The stream to write."""
     codec: str | None = None
-    """The codec: learned or lsdt-clip. Default: the one that the model is for, or learned."""
+    """The codec: learned, live, lsdt-clip, lsdt-frame, dct-frame, mdtt or pca-rdo.
+
+    Default: the one that the model is for, or learned."""
     model: Path | None = None
     """A trained model: a file, or the id of a shipped one. Default: the one shipped for the codec."""
     mean_error: float | None = None

@@ -67,8 +67,18 @@ def _draw_learned(figure: Figure, report: dict) -> None:
         axes.grid(alpha=0.3)
 
 
+def _draw_live(figure: Figure, report: dict) -> None:
+    """The loss of the network, over updates, and bits a level of packets, over epochs."""
+    for axes, name in zip(figure.subplots(1, 2), ("network", "packets"), strict=True):
+        axes.plot(report["curves"][name], "o-")
+        axes.set(title=name, ylabel={"network": "loss", "packets": "bits a level"}[name])
+        axes.set_xlabel({"network": "25 steps", "packets": "epoch"}[name])
+        axes.grid(alpha=0.3)
+
+
 _DRAWINGS = {
     "learned": _draw_learned,
+    "live": _draw_live,
     "lsdt-clip": _draw_lsdt,
     "lsdt-frame": _draw_lsdt,
     "dct-frame": _draw_dct,

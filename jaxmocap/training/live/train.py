@@ -29,6 +29,7 @@ from ..loop import Stage, State, run
 from . import network as net
 
 _UPDATES, _AT_ONCE = 80, 25  # of the network: so many times so many steps
+_FRAMES_FOR_STEPS = 2000  # for _AT_ONCE steps more
 _CLIPS, _CROP = 12, 160  # a step
 _EPOCHS, _HIDDEN = 10, 24  # of the density of packets
 _FRAMES, _DRAWS = 240, 3  # an item, in so many pieces, each at a step of its own
@@ -100,16 +101,19 @@ class _LiveTrainer:
         return {**state, f"speed.{item}": np.log2(gone + 1e-4), f"spread.{item}": np.log2(spread + 1e-3)}
 
     def _train(self, state: State, item: int) -> State:
-        """Some steps of the network."""
+        """Some steps of the network, as many as the corpus is worth."""
+        updates = min(_UPDATES, 2 + int(state["frames"].sum()) // _FRAMES_FOR_STEPS)
+        if item >= updates:
+            return state
         count = max(len(state[f"speed.{n}"]) for n in range(len(METRICS)))
         speed, spread = (jnp.asarray(_stacked(state, name, count), jnp.float32) for name in ("speed", "spread"))
         learner = self._learner(state)
-        optimiser_state = net.optimiser(_UPDATES * _AT_ONCE).init(eqx.filter(learner, eqx.is_array))
+        optimiser_state = net.optimiser(updates * _AT_ONCE).init(eqx.filter(learner, eqx.is_array))
         optimiser_state = _unflatten(optimiser_state, state, "optimiser") if item else optimiser_state
         losses = []
         for n in range(_AT_ONCE):
             drawn = self._draw(state, count, np.random.default_rng(item * _AT_ONCE + n))
-            learner, optimiser_state, loss = net.step(learner, optimiser_state, drawn, speed, spread, _UPDATES * _AT_ONCE)
+            learner, optimiser_state, loss = net.step(learner, optimiser_state, drawn, speed, spread, updates * _AT_ONCE)
             losses.append(float(loss))
         curve = np.append(state.get("curve.network", np.zeros(0)), np.mean(losses))
         return {**state, "curve.network": curve, **_flatten(learner, "learner"), **_flatten(optimiser_state, "optimiser")}
