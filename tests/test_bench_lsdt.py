@@ -174,7 +174,7 @@ def test_players_compare_at_the_same_ratio(motions: dict[str, Motion]):
             decoded = decode(base64.b64decode(row["stream"]))
             assert row["per_joint_cm"] == compare(motions["one"], decoded)["per_joint_cm"]
     pages = dict(lsdt_players.pages(motions["one"], found))
-    assert list(pages) == ["fig8_lsdt-frame.html", "fig8_dct-frame.html", "fig9_runs_L240.html", "fig9_mdtt.html"]
+    assert list(pages) == ["fig8_lsdt-frame.html", "fig8_dct-frame.html", "fig9_lsdt-clip_runs_L240.html", "fig9_mdtt.html"]
     scales = [json.loads(page.split('"scale": ')[1].split("}")[0]) for page in pages.values()]
     assert scales[0] == scales[1] != scales[2] == scales[3], "heat is comparable within a figure"
     with pytest.raises(JaxmocapError, match="at most 10 bytes"):
@@ -194,7 +194,8 @@ def small(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(lsdt_report, "FOUR", ("05_02",))
     monkeypatch.setattr(lsdt_report, "FRAME_TARGETS_CM", (0.3, 1.0, 2.0))
     monkeypatch.setattr(lsdt_report, "CLIP_TARGETS_CM", (1.0,))
-    monkeypatch.setattr(lsdt_report, "CLIP_BASED", {name: CLIP_BASED[name] for name in ("runs L=240", "mdtt", "pca-rdo")})
+    few = ("lsdt-clip runs L=240", "mdtt", "pca-rdo")
+    monkeypatch.setattr(lsdt_report, "CLIP_BASED", {name: CLIP_BASED[name] for name in few})
     monkeypatch.setattr(lsdt_report, "PACKET_TARGETS_CM", (1.0,))
     monkeypatch.setattr(lsdt, "SPARSITIES", (2, 8))
     monkeypatch.setattr(lsdt, "cold_decode", functools.partial(lsdt.cold_decode, runs=1))
@@ -207,7 +208,7 @@ def test_figures(small: Path, capsys: pytest.CaptureFixture[str]):
     result = json.loads(capsys.readouterr().out)["lsdt"]
     out = small / "lsdt-figures"
     assert list(result) == [*lsdt_report.PARTS, "table"] and json.loads((out / "lsdt.json").read_text()) == result
-    players = {f"fig{n}_{m}.html" for n, m in ((8, "lsdt-frame"), (8, "dct-frame"), (9, "runs_L240"), (9, "mdtt"))}
+    players = {f"fig{n}_{m}.html" for n, m in ((8, "lsdt-frame"), (8, "dct-frame"), (9, "lsdt-clip_runs_L240"), (9, "mdtt"))}
     drawn = {f"{name}.png" for name in lsdt_plots.FIGURES}
     assert {f.name for f in out.iterdir()} == players | drawn | {"lsdt.json"}
     assert all((out / name).read_bytes().startswith(b"\x89PNG") for name in drawn)

@@ -19,9 +19,10 @@ import pytest
 from jaxmocap.__main__ import run
 from jaxmocap.codecs.bitstream import varint
 from jaxmocap.codecs.live.network import Network
-from jaxmocap.codecs.live.packets import NUMBERS, REFRESH_FRAMES, framed
+from jaxmocap.codecs.live.packets import NUMBERS, framed
 from jaxmocap.codecs.live.playout import Playout
 from jaxmocap.codecs.live.stream import Decoder, Encoder, Shown
+from jaxmocap.codecs.live.tracker import REFRESH_FRAMES
 from jaxmocap.codecs.live.transport import DatagramSink, DatagramSource, StreamEnd
 from jaxmocap.errors import FormatError
 from jaxmocap.formats import read_motion, write_motion

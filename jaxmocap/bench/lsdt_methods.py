@@ -34,12 +34,12 @@ FRAME_BASED: dict[str, Method] = {
     "live": Method({"codec": "live", "metric": "joints"}, 0, (), "basis and networks: model"),
 }
 CLIP_BASED: dict[str, Method] = {
-    f"{form} L={n}": Method({"codec": _CLIP, "form": form, "clip_frames": n}, n, (), _OF_MODEL)
+    f"lsdt-clip {form} L={n}": Method({"codec": _CLIP, "form": form, "clip_frames": n}, n, (), _OF_MODEL)
     for form in ("runs", "paper")
     for n in (60, 120, 240)
 } | {
-    "mdtt": Method({"codec": "mdtt"}, None, ("rank",), "bases: stream"),
-    "pca-rdo": Method({"codec": "pca-rdo"}, None, ("clip length", "ranks", "weights"), "bases, weights: stream"),
+    "mdtt": Method({"codec": "mdtt"}, None, ("rank",), "bases: stream; rig: model"),
+    "pca-rdo": Method({"codec": "pca-rdo"}, None, ("clip length", "ranks", "weights"), "bases, weights: stream; rig: model"),
     "learned": Method({"codec": "learned", "metric": "joints"}, None, ("levels",), "basis and networks: model"),
 }
 

@@ -13,8 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ..codecs import Target, lsdt_frame, make
-from ..codecs.live.packets import FRAMING_BYTES, REFRESH_FRAMES
+from ..codecs.live.packets import FRAMING_BYTES
 from ..codecs.live.stream import Decoder, Encoder
+from ..codecs.live.tracker import REFRESH_FRAMES
 from ..errors import JaxmocapError
 from ..metrics import compare
 from ..motion import Motion

@@ -15,7 +15,7 @@ from ..motion import Motion
 from ..viewer import motion_player
 from .lsdt_methods import CLIP_BASED, FRAME_BASED, Method
 
-PAIRS = {"fig8": ("lsdt-frame", "dct-frame"), "fig9": ("runs L=240", "mdtt")}
+PAIRS = {"fig8": ("lsdt-frame", "dct-frame"), "fig9": ("lsdt-clip runs L=240", "mdtt")}
 MEAN_CM = 1.0
 _TRIES, _CLOSE = 10, 0.99
 _HEAT = 0.995  # the share of joints and frames whose error lies within the colour scale

@@ -94,8 +94,10 @@ def table(result: dict) -> Figure:
     figure = Figure(figsize=(9, 0.32 * (len(cells) + 2)), layout="constrained")
     axes = figure.subplots()
     axes.set_axis_off()
-    widths = [0.15, 0.1, 0.13, 0.12, 0.12, 0.28, 0.1]
+    widths = [0.2, 0.1, 0.12, 0.11, 0.11, 0.27, 0.09]
     drawn = axes.table(cells, colLabels=head, cellLoc="left", colWidths=widths, loc="center")
+    drawn.auto_set_font_size(False)
+    drawn.set_fontsize(8)
     for (row, _), cell in drawn.get_celld().items():
         cell.set(height=(2 if row == 0 else 1) / (len(cells) + 2), linewidth=0.4)
     return figure
@@ -109,7 +111,7 @@ def _clip_by_clip(curves: Curves) -> Figure:
     for axes, clip in zip(figure.subplots(lines, columns, squeeze=False).flat, panels, strict=False):
         _draw(axes, curves, clip)
         axes.set_title(clip or "all clips")
-    figure.axes[0].legend(fontsize="small")
+    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
     return figure
 
 
@@ -117,7 +119,7 @@ def _draw(axes: Axes, curves: Curves, clip: str | None) -> None:
     """Distortion over ratio of one clip, or of all together."""
     for name, rows in curves.items():
         rows = rows if clip is None else of_clip(rows, clip)
-        line = "--" if name.startswith("paper") else "-"
+        line = "--" if "paper" in name else "-"
         axes.loglog([r["ratio"] for r in rows], [r["mean_cm"] for r in rows], f"o{line}", markersize=3, label=name)
     axes.set(xlabel="compression ratio", ylabel="mean error, cm")
     for axis in (axes.xaxis, axes.yaxis):

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping
 from .lsdt import error_saved, of_clip
 from .lsdt_packets import SHOWN_FROM, name_of
 
-_WIDTH = 24
+_WIDTH = 30
 
 
 def text(result: dict) -> str:
@@ -35,7 +35,7 @@ def _rate_distortion(result: dict) -> list[str]:
     curves = result["rate_distortion"]
     lines = ["clips and sequences (Fig. 7):", *_ratios(curves)]
     for rival in ("mdtt", "pca-rdo"):
-        lines += _over(curves, "runs L=240", rival)
+        lines += _over(curves, "lsdt-clip runs L=240", rival)
     return [*lines, "", *_by_clip(curves)]
 
 

@@ -6,11 +6,12 @@ import numpy as np
 from jaxtyping import Int
 
 from ..learned.density import FrozenDensity
-from .tracker import Outlook, Prior, State, advance, look, place_of, step_units
+from .tracker import Outlook, Prior, State, advance, advance_told, look, place_of, refreshed, step_units
 
 # A level is rounded up from this fraction of a step on: what is thresholded may still come right by itself, and what
 # does not is coded a frame later.
 ROUNDING = 0.4
+_OF_PACKETS = 0.45  # a packet that has no level takes whole bytes all the same
 
 
 def choose_levels(
@@ -36,3 +37,20 @@ def encode_frames(
         places[n] = place_of(outlook, levels[n], step_index)
         state = advance(state, places[n], levels[n])
     return levels, places
+
+
+def encode_packet(
+    wanted: Int[np.ndarray, " components"], number: int, state: State, prior: Prior, network: FrozenDensity, step_index: int
+) -> tuple[Int[np.ndarray, " components"], Int[np.ndarray, " refreshed"], State]:
+    """Levels, places in steps of those whose turn it is, and the state after the frame of this number."""
+    turn = refreshed(number, len(wanted))
+    outlook = look(state, prior, network, step_index)
+    levels = choose_levels(wanted, outlook, step_index, _OF_PACKETS)
+    levels[turn] = 0
+    places = whole_steps(wanted[turn], step_index)
+    return levels, places, advance_told(state, outlook, levels, turn, places, step_index)
+
+
+def whole_steps(places: Int[np.ndarray, " places"], step_index: int) -> Int[np.ndarray, " places"]:
+    """The nearest."""
+    return np.rint(places / step_units(step_index)).astype(np.int64)

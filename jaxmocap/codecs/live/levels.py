@@ -15,7 +15,7 @@ from ..learned.steps import level_of_step
 from .model import LiveModel
 from .tracker import Outlook, Prior
 
-_ZERO_LOGIT = 12 * 32
+_MOST_LOGIT = 12 * 32
 
 
 class Tables(NamedTuple):
@@ -68,5 +68,6 @@ def decode_frame(decoder: Decoder, outlook: Outlook, t: Tables) -> Int[np.ndarra
 
 def _sign_frequencies(outlook: Outlook, moved: np.ndarray, t: Tables) -> Int[np.ndarray, "moved 2"]:
     """Of positive and negative levels."""
-    positive = np.clip(t.logistic[outlook.sign_outputs()[moved] + _ZERO_LOGIT].astype(np.int64), 1, TOTAL - 1)
+    logits = np.clip(outlook.sign_outputs()[moved], -_MOST_LOGIT, _MOST_LOGIT)
+    positive = np.clip(t.logistic[logits + _MOST_LOGIT].astype(np.int64), 1, TOTAL - 1)
     return np.stack([positive, TOTAL - positive], 1)

@@ -1,9 +1,9 @@
 """One frame as one packet, which can be read without any other: three bytes of framing, then a range-coded string.
 
 The framing is a number, modulo 4050, and a checksum. The string holds, now and then, a symbol of the fountain from which a
-receiver learns whose motion it is; how fine this frame's step is; the places of the few components whose turn it is to be
-refreshed, or of all; and the levels of the others. Frames before it may be told again, in case they were lost. The length
-of a packet is not in it: datagrams have one.
+receiver learns whose motion it is, or at first that itself; how fine this frame's step is; the places of the few components
+whose turn it is to be told anew, or of all; and the levels of the others. Frames before it may be told again, in case they
+were lost. The length of a packet is not in it: datagrams have one.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from ..entropy.range_coder import PythonDecoder, PythonEncoder
 from ..entropy.tables import FrequencyTable
 from ..learned.steps import STEPS
 from .events import Density, read_integer, read_moved, write_integer, write_moved
-from .tracker import FINEST_STEP
+from .tracker import FINEST_STEP, REFRESH_FRAMES, refreshed
 
 FRAMING_BYTES = 3
-REFRESH_FRAMES = 54  # within which it is every component's turn once
 NUMBERS = 75 * REFRESH_FRAMES  # as many whole turns as 12 bits can count
 OFFSETS = 16
 NO_OFFSET = OFFSETS // 2
 PER_OFFSET = 4  # sixteenths of an octave
-_HAS_SYMBOL = FrequencyTable.from_counts(np.array([7, 1]))
+_NOTHING, _SYMBOL, _HELLO = range(3)  # what a packet tells of whose motion it is
+_NEWS = FrequencyTable.from_counts(np.array([223, 32, 1]))
 _IS_WHOLE = FrequencyTable.from_counts(np.array([255, 1]))
 _OFFSETS = FrequencyTable.from_counts(np.array([1, 1, 1, 1, 1, 2, 4, 16, 200, 16, 4, 2, 1, 1, 1, 1]))
-_SYMBOL_BITS = 16
-MOST_BYTES = 1 << 11
+_SYMBOL_BITS, _LENGTH_BITS = 16, 12
+MOST_BYTES = 1 << 12
 MOST_REPEATS = 3
 
 
@@ -46,26 +46,18 @@ class Frame:
     levels: Int[np.ndarray, " components"]
 
 
-def refreshed(number: int, components: int) -> Int[np.ndarray, " refreshed"]:
-    """Whose turn it is in the frame of this number."""
-    turn = number % REFRESH_FRAMES
-    return np.arange(turn * components // REFRESH_FRAMES, (turn + 1) * components // REFRESH_FRAMES)
-
-
 def step_of(step_index: int, offset: int) -> int:
     """The index of a frame's step, where the stream's is `step_index`."""
     return min(max(step_index + PER_OFFSET * (offset - NO_OFFSET), FINEST_STEP), STEPS - 1)
 
 
-def write_packet(number: int, frames: Sequence[Frame], step_index: int, density: Density, symbol: int | None) -> bytes:
+def write_packet(number: int, frames: Sequence[Frame], step_index: int, density: Density, news: bytes | int | None) -> bytes:
     """The frame of this number, and those before it that are told again, from late to early.
 
-    `symbol` is one of the fountain, if it is its turn.
+    `news` is the hello, or a symbol of its fountain, if it is its turn.
     """
     encoder = PythonEncoder()
-    encoder.encode(int(symbol is not None), _HAS_SYMBOL)
-    if symbol is not None:
-        encoder.encode_bits(symbol, _SYMBOL_BITS)
+    _write_news(encoder, news)
     for back, frame in enumerate(frames):
         _write_frame(encoder, number - back, frame, step_index, density)
     return framed(number, encoder.finish())
@@ -101,10 +93,26 @@ def unframed(packet: bytes) -> tuple[int, bytes]:
     return head >> 12, payload
 
 
-def read_symbol(payload: bytes) -> int | None:
-    """The symbol of the fountain, which can be read before anything else is known. Raises CorruptStream."""
-    decoder = PythonDecoder(payload)
-    return decoder.decode_bits(_SYMBOL_BITS) if decoder.decode(_HAS_SYMBOL) else None
+def read_news(payload: bytes) -> bytes | int | None:
+    """The hello, or a symbol of its fountain, which can be read before anything else is known. Raises CorruptStream."""
+    return _read_news(PythonDecoder(payload))
+
+
+def _write_news(encoder: PythonEncoder, news: bytes | int | None) -> None:
+    encoder.encode(_NOTHING if news is None else _SYMBOL if isinstance(news, int) else _HELLO, _NEWS)
+    if isinstance(news, int):
+        encoder.encode_bits(news, _SYMBOL_BITS)
+    elif news is not None:
+        encoder.encode_bits(len(news), _LENGTH_BITS)
+        for byte in news:
+            encoder.encode_bits(byte, 8)
+
+
+def _read_news(decoder: PythonDecoder) -> bytes | int | None:
+    kind = decoder.decode(_NEWS)
+    if kind == _HELLO:
+        return bytes(decoder.decode_bits(8) for _ in range(decoder.decode_bits(_LENGTH_BITS)))
+    return decoder.decode_bits(_SYMBOL_BITS) if kind == _SYMBOL else None
 
 
 def read_frames(number: int, payload: bytes, count: int, step_index: int, density: Density) -> list[Frame]:
@@ -113,8 +121,7 @@ def read_frames(number: int, payload: bytes, count: int, step_index: int, densit
     Raises CorruptStream where no encoder wrote such bytes.
     """
     decoder = PythonDecoder(payload)
-    if decoder.decode(_HAS_SYMBOL):
-        decoder.decode_bits(_SYMBOL_BITS)
+    _read_news(decoder)
     frames = [_read_frame(decoder, number, step_index, density)]
     while len(frames) < count and not frames[-1].whole:
         frames.append(_read_frame(decoder, number - len(frames), step_index, density))

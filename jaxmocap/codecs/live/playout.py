@@ -65,7 +65,7 @@ class Playout:
         return found
 
     def finish(self, frames: int | None) -> list[Shown]:
-        """All that is left of a stream of so many frames, modulo 4096, where that is known."""
+        """All that is left of a stream of so many frames, modulo 4050, where that is known."""
         if self._next is None or frames is None:
             return []
         left = (frames - self._next) % NUMBERS

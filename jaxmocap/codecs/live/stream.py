@@ -20,7 +20,7 @@ from ..learned.steps import index_of
 from .analysis import Analysis
 from .codec import fineness_for, model_of
 from .control import Control
-from .encoder import choose_levels
+from .encoder import encode_packet, whole_steps
 from .events import Density
 from .fountain import Basin, Fountain
 from .hello import Hello, digest_of
@@ -31,22 +31,20 @@ from .packets import (
     NUMBERS,
     Frame,
     read_frames,
-    read_symbol,
-    refreshed,
+    read_news,
     step_of,
     unframed,
     write_packet,
 )
 from .setting import OWN_RIG, Setting, figure_of, read_setting, write_setting
-from .tracker import FINEST_STEP, Outlook, State, advance, concealed, look, place_of, step_units, to_cm, to_units
+from .tracker import FINEST_STEP, State, advance, advance_told, concealed, look, refreshed, step_units, to_cm, to_units
 
 _MEASURED = 8  # every so many frames an error is
 _MEAN_STEPS = 1.42  # the mean error is about so many steps
 _BITS_AT_1_CM, _FALL = 25.0, 0.75
 _HELLO_FRAMES = 48  # within which a receiver shall have heard who moves
-_ROUNDING = 0.45  # of levels: a packet that has none has whole bytes all the same
 _LATE = 16  # frames: a packet that is later than that mends nothing
-_ASTRAY = 240  # frames: a number that is further ahead is believed when the next packet says so, too
+_BEHIND = 240  # frames: a number further behind, or more than _LATE ahead, is believed when the next packet says so, too
 _LARGEST = 1e9
 
 
@@ -104,17 +102,14 @@ class Encoder:
         wanted = self._wanted(np.asarray(values, np.float64))
         index, number = step_of(self._index, self._control.offset), self._number
         if self._state is None:
-            frame = Frame(self._control.offset, True, _steps(wanted, index), np.zeros_like(wanted))
+            frame = Frame(self._control.offset, True, whole_steps(wanted, index), np.zeros_like(wanted))
             self._state = State.at(frame.places * step_units(index))
         else:
-            turn = refreshed(number, len(wanted))
-            outlook = look(self._state, self._setting.prior, self.model.network, index)
-            levels = choose_levels(wanted, outlook, index, _ROUNDING)
-            levels[turn] = 0
-            frame = Frame(self._control.offset, False, _steps(wanted[turn], index), levels)
-            self._state = _advanced(self._state, outlook, levels, turn, frame.places, index)
-        symbol = self._fountain.symbol(number) if number % self._every == 0 else None
-        packet = write_packet(number, [frame, *self._told], self._index, self._density, symbol)
+            levels, places, self._state = encode_packet(
+                wanted, number, self._state, self._setting.prior, self.model.network, index
+            )
+            frame = Frame(self._control.offset, False, places, levels)
+        packet = write_packet(number, [frame, *self._told], self._index, self._density, self._news())
         if self._control.of == "rate":
             self._control.saw(len(packet))
         elif self._control.of == "error" and number % _MEASURED == 0:
@@ -154,11 +149,18 @@ class Encoder:
             None if self.unit_cm == rig.unit_cm else self.unit_cm or 0.0,
             self._setting.section,
         )
+        self._hello = hello.to_bytes()
         try:
-            self._fountain = Fountain(hello.to_bytes())
+            self._fountain = Fountain(self._hello)
         except ValueError as error:
             raise JaxmocapError(f"the skeleton is too large to be streamed: {error}") from error
         self._every = max(_HELLO_FRAMES // self._fountain.needed, 1)
+
+    def _news(self) -> bytes | int | None:
+        """What a packet tells of whose motion it is: all in the first, a symbol of the fountain now and then."""
+        if self._number == 0:
+            return self._hello
+        return self._fountain.symbol(self._number % NUMBERS) if self._number % self._every == 0 else None
 
 
 class Shown(NamedTuple):
@@ -240,7 +242,7 @@ class Decoder:
         if self._last is None:
             return short
         number = self._last + (short - self._last + NUMBERS // 2) % NUMBERS - NUMBERS // 2
-        if -_ASTRAY <= number - self._last <= _ASTRAY:
+        if -_BEHIND <= number - self._last <= _LATE:
             self._astray = None
             return number
         believed = self._astray is not None and 0 < (short - self._astray) % NUMBERS <= _LATE
@@ -272,13 +274,11 @@ class Decoder:
         return self._receiver.step(number, frame)
 
     def _meet(self, number: int, payload: bytes) -> Shown | None:
-        """A packet before it is known whose motion it is: kept, and its symbol of the fountain taken."""
-        symbol = read_symbol(payload)
+        """A packet before it is known whose motion it is: kept, and what it tells of that taken."""
+        news = read_news(payload)
         self._waiting.append((number, payload))
-        self._last = number if self._last is None else max(number, self._last)
-        data = None if symbol is None else self._basin.add(number % NUMBERS, symbol)
+        data = self._basin.add(number % NUMBERS, news) if isinstance(news, int) else news
         if data is None:
-            self.tally.received += 1
             return None
         try:
             hello = Hello.of_bytes(data)
@@ -287,9 +287,10 @@ class Decoder:
         except (CorruptStream, TruncatedStream):
             self._basin = Basin()
             raise
-        self._last, shown = None, None
-        for kept in sorted(self._waiting):
-            shown = self._take(*kept)
+        first, shown = number - len(self._waiting) - _LATE, None
+        for kept in sorted((first + (of - first) % NUMBERS, payload) for of, payload in self._waiting):
+            if kept[0] <= number + _LATE:  # further away it was none of this stream
+                shown = self._take(*kept) or shown
         return shown
 
 
@@ -349,22 +350,4 @@ class _Receiver:
             return advance(state, concealed(state, outlook, index), np.zeros(count, np.int64))
         turn = refreshed(number, count)
         self._heard[turn] = True
-        return _advanced(state, outlook, frame.levels, turn, frame.places, index)
-
-
-def _steps(places: Int[np.ndarray, " places"], index: int) -> Int[np.ndarray, " places"]:
-    """The nearest whole steps."""
-    return np.rint(places / step_units(index)).astype(np.int64)
-
-
-def _advanced(state: State, outlook: Outlook, levels: np.ndarray, turn: np.ndarray, places: np.ndarray, index: int) -> State:
-    """The state after a frame in which some components were told anew.
-
-    Their averages move along: what a receiver had wrong shall be gone, not be taken for a leap that goes on.
-    """
-    place = place_of(outlook, levels, index)
-    told = places * step_units(index)
-    average = state.average.copy()
-    average[:, turn] += told - outlook.place[turn]
-    place[turn] = told
-    return advance(state._replace(average=average), place, levels)
+        return advance_told(state, outlook, frame.levels, turn, frame.places, index)

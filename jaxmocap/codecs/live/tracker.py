@@ -17,6 +17,7 @@ from ..learned.density import STOPS, FrozenDensity
 from ..learned.steps import level_of_step
 
 UNITS = 1 << 14  # a centimetre
+REFRESH_FRAMES = 54  # within which every component is told anew
 FINEST_STEP = 48  # 2^-11 cm: below, a step has too few units
 FOLLOWING = (1, 2, 3, 4)  # averages of places over 2, 4, 8, 16 frames: what a lost packet leaves in them is soon gone
 BUSY = (2, 3, 5)  # averages of levels over 4, 8, 32 frames
@@ -128,6 +129,29 @@ def advance(state: State, place: Int[np.ndarray, " components"], levels: Int[np.
     average = state.average + (place[None] - state.average >> shifts)
     busy = np.minimum(np.abs(levels), _MOST_LEVEL) << _BUSY_BITS
     return State(place, average, state.busy + (busy[None] - state.busy >> np.array(BUSY)[:, None]))
+
+
+def refreshed(number: int, components: int) -> Int[np.ndarray, " refreshed"]:
+    """Whose turn it is to be told anew, in the packet of this number."""
+    turn = number % REFRESH_FRAMES
+    return np.arange(turn * components // REFRESH_FRAMES, (turn + 1) * components // REFRESH_FRAMES)
+
+
+def advance_told(
+    state: State,
+    outlook: Outlook,
+    levels: Int[np.ndarray, " components"],
+    turn: Int[np.ndarray, " refreshed"],
+    places: Int[np.ndarray, " refreshed"],
+    step_index: int,
+) -> State:
+    """The state after a frame in which some components were told anew, in steps.
+
+    They are taken to be at rest: what a receiver had wrong of where they were, and of how fast they went, is gone.
+    """
+    place, average = place_of(outlook, levels, step_index), state.average.copy()
+    place[turn] = average[:, turn] = places * step_units(step_index)
+    return advance(state._replace(average=average), place, levels)
 
 
 def to_units(coefficients: np.ndarray) -> np.ndarray:

@@ -13,10 +13,11 @@ from threadpoolctl import threadpool_limits
 from ...codecs.artifact import Artifact, make_artifact
 from ...codecs.learned.basis import Basis
 from ...codecs.learned.contexts import OCTAVE
-from ...codecs.learned.density import Density, logistic_table, tail_table
+from ...codecs.learned.density import Density, FrozenDensity, logistic_table, tail_table
 from ...codecs.learned.distortion import METRICS, Metric
 from ...codecs.learned.steps import STEPS, index_of
-from ...codecs.live.encoder import encode_frames
+from ...codecs.live import tracker
+from ...codecs.live.encoder import encode_packet
 from ...codecs.live.events import CLASSES, INPUTS, class_of, contexts, step_octave
 from ...codecs.live.model import LiveModel
 from ...codecs.live.tracker import Prior, to_units
@@ -152,9 +153,7 @@ class _LiveTrainer:
             for _ in range(_DRAWS):
                 index = index_of(2.0 ** net.log_step_of(random.random()))
                 at = random.integers(0, max(len(y) - _FRAMES, 0) + 1)
-                levels, _ = encode_frames(to_units(y[at : at + _FRAMES]), prior, network, index)
-                moving = levels[1:][::4]
-                for frame in moving:
+                for frame in _packet_levels(to_units(y[at : at + _FRAMES]), prior, network, index)[::4]:
                     kind = class_of(frame)
                     seen[step_octave(index), kind] += 1
                     parts.append(Rows(contexts(prior, index, kind).astype(np.int16), np.abs(frame).astype(np.float32)))
@@ -180,6 +179,15 @@ class _LiveTrainer:
         curve = np.append(state.get("curve.packets", np.zeros(0)), float(bits))
         state = {**state, "curve.packets": curve, **_flatten(density, "density")}
         return {**state, **_flatten(optimiser_state, "density.optimiser")}
+
+
+def _packet_levels(wanted: np.ndarray, prior: Prior, network: FrozenDensity, index: int) -> list[np.ndarray]:
+    """Of all frames but the first."""
+    state, found = tracker.State.at(wanted[0]), []
+    for number, places in enumerate(wanted[1:], 1):
+        levels, _, state = encode_packet(places, number, state, prior, network, index)
+        found.append(levels)
+    return found
 
 
 def _stacked(state: State, name: str, count: int) -> np.ndarray:
