@@ -11,7 +11,7 @@ demo: $(VENV)/.train
 	$(BIN)/jaxmocap demo
 
 test: $(VENV)/.test
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto --dist loadfile
 
 check: $(VENV)/.dev
 	$(BIN)/ruff check

@@ -42,7 +42,7 @@ from .tracker import FINEST_STEP, State, advance, advance_told, concealed, look,
 _MEASURED = 8  # every so many frames an error is
 _MEAN_STEPS = 1.42  # the mean error is about so many steps
 _BITS_AT_1_CM, _FALL = 25.0, 0.75
-_HELLO_FRAMES = 48  # within which a receiver shall have heard who moves
+_HELLO_FRAMES = 54  # within which a receiver shall have heard who moves
 _LATE = 16  # frames: a packet that is later than that mends nothing
 _BEHIND = 240  # frames: a number further behind, or more than _LATE ahead, is believed when the next packet says so, too
 _LARGEST = 1e9
