@@ -246,6 +246,16 @@ def test_a_receiver_that_joins_late_is_right_within_half_a_second(motion):
     assert errors[first + 1 :].mean() < 1.5 * plain[first + 1 :].mean()
 
 
+def test_a_long_silence_is_no_long_work(motion):
+    packets = packets_of(motion.with_values(np.concatenate([motion.values] * 5)))
+    decoder = Decoder()
+    shown = [decoder.push(p) for p in [*packets[:100], *packets[2200:2300]]]
+    assert shown[99] and shown[-1] and shown[-1].number == 2299
+    at = motion.with_values(np.stack([shown[-1].values, motion.values[2299 % motion.frame_count]]))
+    error = compare(at.frames(0, 1), at.frames(1, 2))["mean_cm"]
+    assert isinstance(error, float) and error < 1.0
+
+
 def test_control_follows_a_rate(motion):
     encoder = Encoder(motion.skeleton, motion.frame_time, motion.unit_cm, "rate", 9.0, "joints")
     sizes = [len(encoder.push(v)) for v in np.concatenate([motion.values] * 4)]

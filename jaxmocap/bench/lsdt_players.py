@@ -68,6 +68,6 @@ def pages(motion: Motion, found: dict[str, dict]) -> Iterator[tuple[str, str]]:
         errors = [np.linalg.norm(np.asarray(positions_cm(m)) - original, axis=-1) for m in decoded.values()]
         heat = float(np.quantile(errors, _HEAT))
         for name, row in rows.items():
-            title = f"{name}, {row['ratio']:.0f}:1, mean {row['mean_cm']:.2f} cm"
+            title = f"{name}, {row['ratio']:.0f}:1"
             text = motion_player(motion, decoded[name], ("original", title), heat)
             yield f"{figure}_{name.replace(' ', '_').replace('=', '')}.html", text

@@ -24,14 +24,13 @@ class Control:
     _aim: float = float(NO_OFFSET)
     _average: float | None = None
 
-    def saw(self, seen: float, frames: int = 1) -> None:
-        """What the last frame's error in cm, or its packet's bytes, were; `frames` since the last that was seen."""
+    def saw(self, seen: float) -> None:
+        """What the last frame's error in cm, or its packet's bytes, were."""
         if self.of == "step":
             return
-        memory = min(frames * _MEMORY, 1.0)
-        self._average = seen if self._average is None else self._average + memory * (seen - self._average)
+        self._average = seen if self._average is None else self._average + _MEMORY * (seen - self._average)
         excess = math.log2(max(self._average, 1e-6) / self.wanted)
         finer = excess if self.of == "error" else -excess
-        self._aim = min(max(self._aim - frames * _GAIN * min(max(finer, -2.0), 2.0), 0.0), OFFSETS - 1.0)
+        self._aim = min(max(self._aim - _GAIN * min(max(finer, -2.0), 2.0), 0.0), OFFSETS - 1.0)
         if abs(self._aim - self.offset) > _STAY:
             self.offset = round(self._aim)

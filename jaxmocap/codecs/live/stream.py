@@ -37,14 +37,15 @@ from .packets import (
     write_packet,
 )
 from .setting import OWN_RIG, Setting, figure_of, read_setting, write_setting
-from .tracker import FINEST_STEP, State, advance, advance_told, concealed, look, refreshed, step_units, to_cm, to_units
+from .tracker import FINEST_STEP, UNITS, State, advance, advance_told, concealed, look, refreshed, step_units, to_cm, to_units
 
-_MEASURED = 8  # every so many frames an error is
+_MEASURED = 120  # every so many frames an error is, since it takes as long as all else
 _MEAN_STEPS = 1.42  # the mean error is about so many steps
 _BITS_AT_1_CM, _FALL = 25.0, 0.75
 _HELLO_FRAMES = 54  # within which a receiver shall have heard who moves
 _LATE = 16  # frames: a packet that is later than that mends nothing
 _BEHIND = 240  # frames: a number further behind, or more than _LATE ahead, is believed when the next packet says so, too
+_LONGEST = 120  # frames that are tracked without packets: what a silence was before that helps nobody
 _LARGEST = 1e9
 
 
@@ -92,7 +93,7 @@ class Encoder:
         self._analysis = Analysis(figure_of(skeleton, self._scale, self._setting), self._scale)
         self._density = Density(self._setting.prior, self.model)
         self._digest = digest_of(artifact)
-        self._number = 0
+        self._number, self._error_of_off = 0, 1.0
         self._repeats = repeats
         self._told: deque[Frame] = deque(maxlen=repeats)
         self._state: State | None = None
@@ -110,10 +111,7 @@ class Encoder:
             )
             frame = Frame(self._control.offset, False, places, levels)
         packet = write_packet(number, [frame, *self._told], self._index, self._density, self._news())
-        if self._control.of == "rate":
-            self._control.saw(len(packet))
-        elif self._control.of == "error" and number % _MEASURED == 0:
-            self._control.saw(self._error(), _MEASURED)
+        self._control.saw(len(packet) if self._control.of == "rate" else self._error(wanted))
         self._told.appendleft(frame)
         self._number += 1
         return packet
@@ -129,12 +127,16 @@ class Encoder:
             self._begin(direction_of(path))
         return to_units(self._setting.basis.coefficients(path, body, self._direction))[0]
 
-    def _error(self) -> float:
-        """Of the last frame as receivers have it, in cm, by the metric."""
+    def _error(self, wanted: Int[np.ndarray, " components"]) -> float:
+        """Of the frame as receivers have it, in cm, by the metric: measured now and then, else by how far off it is."""
         assert self._state is not None
-        decoded = self._setting.basis.vectors(to_cm(self._state.place)[None], self._direction)
-        original = points_of(self._analysis.figure, self.metric, *self._pose)
-        return float(np.linalg.norm(points_of(self._setting.figure, self.metric, *decoded) - original, axis=0).mean())
+        off = float(np.linalg.norm((wanted - self._state.place) / UNITS))
+        if self._number % _MEASURED == 0 and off > 0:
+            decoded = self._setting.basis.vectors(to_cm(self._state.place)[None], self._direction)
+            points = points_of(self._setting.figure, self.metric, *decoded)
+            error = np.linalg.norm(points - points_of(self._analysis.figure, self.metric, *self._pose), axis=0).mean()
+            self._error_of_off = float(error) / off
+        return self._error_of_off * off
 
     def _begin(self, direction: int) -> None:
         self._direction, rig = direction, self.model.rig
@@ -183,7 +185,7 @@ class Tally:
 
 
 class Decoder:
-    """Frames of packets, of which any may be missing, late, there twice, or damaged. No back channel.
+    """Frames of packets, of which any may be missing, late, there twice, or damaged. No back channel; one stream.
 
     Until the receiver has heard whose motion it is, and every component once, there is nothing to show: that takes less than
     half a second. A packet that comes up to 16 frames late mends what is shown from then on.
@@ -260,7 +262,7 @@ class Decoder:
         frame, *again = self._receiver.read(number, payload)
         late = self._last is not None and number <= self._last
         if not late:
-            for missing in range(self._last + 1 if self._last is not None else number, number):
+            for missing in range(max(self._last + 1, number - _LONGEST) if self._last is not None else number, number):
                 self._receiver.step(missing, None)
         for back, told in reversed(list(enumerate(again, 1))):
             self._receiver.mend(number - back, told)
