@@ -9,7 +9,7 @@ import pytest
 from nbclient import NotebookClient
 
 FOLDER = Path(__file__).resolve().parents[1] / "notebooks"
-PICTURES = {"01_quickstart": 6, "02_recurring_patterns": 6, "03_learned_transform": 7}
+PICTURES = {"01_quickstart": 6, "02_recurring_patterns": 6, "03_learned_transform": 7, "04_live": 6}
 
 pytestmark = [
     pytest.mark.skipif(not FOLDER.is_dir(), reason=f"no {FOLDER}: notebooks are only in the checkout"),

@@ -14,7 +14,7 @@ from ..codecs.live.stream import Decoder, Encoder
 from ..motion import Motion
 
 WANTED_CM = 0.5
-_WARM_FRAMES = 60  # within which a receiver has heard who moves, and shows frames
+_WARM_FRAMES = 130  # within which a receiver shows frames, and a sender has measured what they look like once
 Clock = Callable[[], float]
 
 
