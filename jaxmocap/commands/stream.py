@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import sys
 import time
 from collections.abc import Iterator
@@ -99,6 +100,7 @@ class StreamEncode(Command):
             if encoder is None:
                 encoder, begun = self._encoder(reader, model), time.monotonic()
                 meter.frame_time = encoder.frame_time
+                gc.freeze()  # what was imported need not be looked through while frames wait
             if self.pace:
                 stop.sleep(begun + number * encoder.frame_time)
             if stop.asked:
@@ -196,6 +198,7 @@ class StreamDecode(Command):
             closing(_MotionSink(open_sink(ends[1]), decoder, self.format)) as sink,
             interruption() as stop,
         ):
+            gc.freeze()
             try:
                 for shown in _shown(source, playout, meter, stop, silence):
                     sink.write(shown)
