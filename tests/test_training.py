@@ -149,7 +149,7 @@ def test_broken_models_are_refused(trained, tmp_path):
     for number, bytes_ in enumerate(broken + foreign):
         with pytest.raises(FormatError, match="model"):
             parse_artifact(bytes_, f"model {number}")
-    with pytest.raises(FormatError, match="wanted a model file or one of .*exact, learned, lsdt-clip"):
+    with pytest.raises(FormatError, match="wanted a model file or one of .*exact, learned, live, lsdt-clip"):
         load_artifact(tmp_path / "missing")
 
 
