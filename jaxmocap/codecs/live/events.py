@@ -123,6 +123,8 @@ def read_moved(decoder: Decoder, count: int, step_index: int, density: Density) 
 
 
 def write_integer(encoder: Encoder, value: int, table: FrequencyTable) -> None:
+    if value < integers.EXACT:
+        return encoder.encode(value, table)
     symbol, raw, bits = (int(x) for x in integers.split(np.array(value)))
     encoder.encode(symbol, table)
     encoder.encode_bits(raw, bits)
