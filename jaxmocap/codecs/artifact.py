@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import FormatError, ModelMismatch
+from .container import DIGEST_BYTES
 
 MODEL_FORMAT = 1
 _SHIPPED = "models"
@@ -33,6 +34,11 @@ class Artifact:
     def digest(self) -> str:
         """SHA-256 of the file, in hexadecimal."""
         return hashlib.sha256(self.data).hexdigest()
+
+    @property
+    def short_digest(self) -> bytes:
+        """As much of it as headers hold."""
+        return bytes.fromhex(self.digest)[:DIGEST_BYTES]
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Artifact) and self.digest == other.digest

@@ -30,6 +30,11 @@ class Target:
         return Target("mean", 0.005 * figure_height(motion))
 
 
+def target_config(target: Target | None) -> dict | None:
+    """A target as `config()` states it."""
+    return None if target is None else {"kind": target.kind, "cm": target.cm}
+
+
 def figure_height(motion: Motion) -> float:
     """How tall the figure is, in cm: by its bones, or by its first frame where it has none."""
     height = motion.skeleton.height() * motion.scale

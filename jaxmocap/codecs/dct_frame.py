@@ -16,7 +16,7 @@ from ..motion import Motion
 from ..transforms.dct import dct_matrix
 from . import frame_codec
 from .artifact import Artifact
-from .base import AbstractCodec, Target
+from .base import AbstractCodec, Target, target_config
 from .clips import Bases
 from .container import Stream, read_stream
 from .frame_transform import AbstractSpatialTransform
@@ -52,8 +52,7 @@ class DctFrame(AbstractCodec):
     embed: bool = eqx.field(static=True, default=False)
 
     def config(self) -> dict:
-        target = None if self.target is None else {"kind": self.target.kind, "cm": self.target.cm}
-        return {"codec": "dct-frame", "target": target, "embed": self.embed}
+        return {"codec": "dct-frame", "target": target_config(self.target), "embed": self.embed}
 
     def encode(self, motion: Motion) -> bytes:
         """The stream; raises JaxmocapError where the target is out of reach."""

@@ -19,7 +19,7 @@ from ..motion import Motion
 from ..skeleton import Skeleton
 from .artifact import Artifact
 from .base import Target, frame_range
-from .container import DIGEST_BYTES, Header, Stream, read_stream
+from .container import Header, Stream, read_stream
 from .quantise import STEPS, step_index
 from .rate_control import coarsest, meets, out_of_reach
 from .rig import Rig, read_skeleton, write_skeleton
@@ -120,7 +120,7 @@ class Source:
             frames=motion.frame_count,
             chunk_frames=min(chunk_frames, motion.frame_count),
             skeleton=write_skeleton(motion.skeleton, rig, self.scale, index) + own,
-            digest=bytes.fromhex(artifact.digest)[:DIGEST_BYTES],
+            digest=artifact.short_digest,
             model=artifact.data if embed else None,
             frame_time=None if motion.frame_time == rig.frame_time else motion.frame_time,
             unit_cm=None if motion.unit_cm == rig.unit_cm else motion.unit_cm or 0.0,

@@ -20,7 +20,7 @@ from ..errors import CorruptStream, JaxmocapError
 from ..motion import Motion
 from . import coefficients_paper, coefficients_runs, lsdt_basis
 from .artifact import Artifact, stream_artifact
-from .base import AbstractCodec, Target
+from .base import AbstractCodec, Target, target_config
 from .clips import Cut, analyse, cut, synthesise, to_clips
 from .coefficients_runs import frame_rate
 from .container import Header, Stream, read_stream, write_stream
@@ -55,7 +55,7 @@ class LsdtClip(AbstractCodec):
             raise ValueError(f"form is {self.form!r}, wanted one of {FORMS}")
 
     def config(self) -> dict:
-        target = None if self.target is None else {"kind": self.target.kind, "cm": self.target.cm}
+        target = target_config(self.target)
         return {"codec": "lsdt-clip", "clip_frames": self.clip_frames, "form": self.form, "target": target, "embed": self.embed}
 
     def encode(self, motion: Motion) -> bytes:

@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 from ..motion import Motion
 from . import frame_codec, own_basis
 from .artifact import Artifact
-from .base import AbstractCodec, Target
+from .base import AbstractCodec, Target, target_config
 from .clips import Bases
 from .container import Stream, read_stream
 from .frame_transform import AbstractSpatialTransform
@@ -51,8 +51,7 @@ class LsdtFrame(AbstractCodec):
     embed: bool = eqx.field(static=True, default=False)
 
     def config(self) -> dict:
-        target = None if self.target is None else {"kind": self.target.kind, "cm": self.target.cm}
-        return {"codec": "lsdt-frame", "target": target, "embed": self.embed}
+        return {"codec": "lsdt-frame", "target": target_config(self.target), "embed": self.embed}
 
     def encode(self, motion: Motion) -> bytes:
         """The stream; raises JaxmocapError where the target is out of reach."""

@@ -18,7 +18,7 @@ from ..motion import Motion
 from ..transforms.dct import dct_matrix
 from .adaptive_levels import Neighbour, Surroundings, code_levels
 from .artifact import Artifact, stream_artifact
-from .base import AbstractCodec, Target
+from .base import AbstractCodec, Target, target_config
 from .basis_coding import CodedBasis, Coordinates, code_basis, cost, precision, quantise_basis
 from .bitstream import ByteReader, varint
 from .container import Stream, read_stream, write_stream
@@ -62,8 +62,7 @@ class Mdtt(AbstractCodec):
     embed: bool = eqx.field(static=True, default=False)
 
     def config(self) -> dict:
-        target = None if self.target is None else {"kind": self.target.kind, "cm": self.target.cm}
-        return {"codec": "mdtt", "target": target, "embed": self.embed}
+        return {"codec": "mdtt", "target": target_config(self.target), "embed": self.embed}
 
     def encode(self, motion: Motion) -> bytes:
         """The stream; what decodes from it has been measured to meet the target.

@@ -20,7 +20,7 @@ from ..motion import Motion
 from ..transforms.dct import dct_matrix
 from .adaptive_levels import Neighbour, Surroundings, code_levels
 from .artifact import Artifact, stream_artifact
-from .base import AbstractCodec, Target, figure_height
+from .base import AbstractCodec, Target, figure_height, target_config
 from .basis_coding import CodedBasis, cost, precision, quantise_basis
 from .container import Stream, read_stream, write_stream
 from .entropy.adaptive import Reader
@@ -67,8 +67,7 @@ class PcaRdo(AbstractCodec):
     embed: bool = eqx.field(static=True, default=False)
 
     def config(self) -> dict:
-        target = None if self.target is None else {"kind": self.target.kind, "cm": self.target.cm}
-        return {"codec": "pca-rdo", "target": target, "embed": self.embed}
+        return {"codec": "pca-rdo", "target": target_config(self.target), "embed": self.embed}
 
     def encode(self, motion: Motion) -> bytes:
         """The stream; what decodes from it has been measured to meet the target.

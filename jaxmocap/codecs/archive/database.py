@@ -170,7 +170,7 @@ def stored_model(model: Artifact | None) -> bytes:
     if model is None:
         return b""
     shipped = any(load_artifact(name) == model for name in shipped_models())
-    return bytes.fromhex(model.digest)[:DIGEST_BYTES] if shipped else model.data
+    return model.short_digest if shipped else model.data
 
 
 def dictionary_of(codec: AbstractNumberCodec | None) -> bytes:

@@ -20,8 +20,8 @@ from ...kinematics import pose
 from ...motion import Motion
 from ...skeleton import Skeleton
 from ..artifact import Artifact, stream_artifact
-from ..base import AbstractCodec, Target, frame_range
-from ..container import DIGEST_BYTES, MOST_LAYERS, Header, Stream, read_stream, write_stream
+from ..base import AbstractCodec, Target, frame_range, target_config
+from ..container import MOST_LAYERS, Header, Stream, read_stream, write_stream
 from . import bands
 from .attempt import Source
 from .constants import with_constants, write_constants
@@ -69,7 +69,7 @@ class Learned(AbstractCodec):
             raise ValueError(f"qualities is {self.qualities}, wanted a whole number from 1 to {MOST_LAYERS}")
 
     def config(self) -> dict:
-        target = None if self.target is None else {"kind": self.target.kind, "cm": self.target.cm}
+        target = target_config(self.target)
         return {"codec": "learned", "metric": self.metric, "target": target, "embed": self.embed, "qualities": self.qualities}
 
     def encode(self, motion: Motion) -> bytes:
@@ -115,7 +115,7 @@ class Learned(AbstractCodec):
             frames=motion.frame_count,
             chunk_frames=min(CHUNK_FRAMES, motion.frame_count),
             skeleton=join_sections([*setting.sections, *([constants] if constants else [])]),
-            digest=bytes.fromhex(self.artifact.digest)[:DIGEST_BYTES],
+            digest=self.artifact.short_digest,
             model=self.artifact.data if self.embed else None,
             frame_time=None if motion.frame_time == rig.frame_time else motion.frame_time,
             unit_cm=None if motion.unit_cm == rig.unit_cm else motion.unit_cm or 0.0,

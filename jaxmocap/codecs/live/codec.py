@@ -14,8 +14,8 @@ from jaxtyping import Int
 from ...errors import CorruptStream, JaxmocapError
 from ...motion import Motion
 from ..artifact import Artifact, stream_artifact
-from ..base import AbstractCodec, Target, frame_range
-from ..container import DIGEST_BYTES, Header, Stream, read_stream, write_stream
+from ..base import AbstractCodec, Target, frame_range, target_config
+from ..container import Header, Stream, read_stream, write_stream
 from ..entropy import integers
 from ..entropy.range_coder import RangeDecoder, RangeEncoder
 from ..learned.basis import DIRECTIONS, direction_of
@@ -35,7 +35,7 @@ CHUNK_FRAMES = 4096
 _MOST_AT_ONCE = 1 << 23  # joints times frames
 _LARGEST = 1e9  # degrees or file units
 _DIRECTION_BITS = DIRECTIONS.bit_length() - 1
-MEAN_STEPS, _POWER = 1.5, 0.95  # the mean error is about so many steps, and goes about as this power of the step
+_MEAN_STEPS, _POWER = 1.5, 0.95  # the mean error is about so many steps, and goes about as this power of the step
 _TRIES = 12
 
 
@@ -57,8 +57,7 @@ class Live(AbstractCodec):
             raise ValueError(f"metric is {self.metric!r}, wanted one of {METRICS}")
 
     def config(self) -> dict:
-        target = None if self.target is None else {"kind": self.target.kind, "cm": self.target.cm}
-        return {"codec": "live", "metric": self.metric, "target": target, "embed": self.embed}
+        return {"codec": "live", "metric": self.metric, "target": target_config(self.target), "embed": self.embed}
 
     def encode(self, motion: Motion) -> bytes:
         """The stream; what decodes from it has been measured to meet the target.
@@ -100,7 +99,7 @@ class Live(AbstractCodec):
             frames=motion.frame_count,
             chunk_frames=min(CHUNK_FRAMES, motion.frame_count),
             skeleton=setting.section,
-            digest=bytes.fromhex(self.artifact.digest)[:DIGEST_BYTES],
+            digest=self.artifact.short_digest,
             model=self.artifact.data if self.embed else None,
             frame_time=None if motion.frame_time == model.rig.frame_time else motion.frame_time,
             unit_cm=None if motion.unit_cm == model.rig.unit_cm else motion.unit_cm or 0.0,
@@ -206,7 +205,7 @@ def read_chunk(
 def _coarsest(coded: Callable[[int], tuple[list[np.ndarray], float]], asked: Target, cm: float) -> tuple[int, list[np.ndarray]]:
     """The coarsest step found to meet the target, and its levels: by the error's power law, inside a bracket that closes."""
     low, high = FINEST_STEP - 1, STEPS  # low meets the target, high does not
-    index, found, error = int(np.clip(index_of(cm / MEAN_STEPS), FINEST_STEP, STEPS - 1)), None, math.inf
+    index, found, error = int(np.clip(index_of(cm / _MEAN_STEPS), FINEST_STEP, STEPS - 1)), None, math.inf
     for _ in range(_TRIES):
         levels, error = coded(index)
         if error <= asked.cm:

@@ -10,7 +10,6 @@ import struct
 from dataclasses import dataclass
 
 from ...errors import CorruptStream, UnsupportedVersion
-from ..artifact import Artifact
 from ..bitstream import ByteReader
 from ..container import DIGEST_BYTES
 from ..learned.basis import DIRECTIONS
@@ -71,10 +70,6 @@ class Hello:
         kept = flags & (OWN_RIG | FINENESS)
         metric, repeats, skeleton = METRICS[flags >> 7], first >> 2 & 3, reader.take(reader.left)
         return Hello(metric, kept, repeats, digest, step_index, direction, frame_time, unit_cm, skeleton)
-
-
-def digest_of(artifact: Artifact) -> bytes:
-    return bytes.fromhex(artifact.digest)[:DIGEST_BYTES]
 
 
 def _positive(value: float) -> float:

@@ -20,6 +20,7 @@ from ..entropy.range_coder import PythonDecoder, PythonEncoder
 from ..entropy.tables import FrequencyTable
 from ..learned.steps import STEPS
 from .events import Density, read_integer, read_moved, write_integer, write_moved
+from .fountain import SYMBOL_BITS
 from .tracker import FINEST_STEP, REFRESH_FRAMES, refreshed
 
 FRAMING_BYTES = 3
@@ -31,7 +32,7 @@ _NOTHING, _SYMBOL, _HELLO = range(3)  # what a packet tells of whose motion it i
 _NEWS = FrequencyTable.from_counts(np.array([223, 32, 1]))
 _IS_WHOLE = FrequencyTable.from_counts(np.array([255, 1]))
 _OFFSETS = FrequencyTable.from_counts(np.array([1, 1, 1, 1, 1, 2, 4, 16, 200, 16, 4, 2, 1, 1, 1, 1]))
-_SYMBOL_BITS, _LENGTH_BITS = 16, 12
+_LENGTH_BITS = 12
 MOST_BYTES = 1 << 12
 MOST_REPEATS = 3
 
@@ -82,7 +83,7 @@ def framed(number: int, payload: bytes) -> bytes:
 
 
 def unframed(packet: bytes) -> tuple[int, bytes]:
-    """Number, modulo 4096, and payload. Raises CorruptStream where the packet is damaged."""
+    """Number, modulo 4050, and payload. Raises CorruptStream where the packet is damaged."""
     if not FRAMING_BYTES <= len(packet) <= MOST_BYTES:
         raise CorruptStream(f"a packet has {len(packet)} bytes, wanted {FRAMING_BYTES} to {MOST_BYTES}")
     head, payload = int.from_bytes(packet[:FRAMING_BYTES], "big"), packet[FRAMING_BYTES:]
@@ -101,7 +102,7 @@ def read_news(payload: bytes) -> bytes | int | None:
 def _write_news(encoder: PythonEncoder, news: bytes | int | None) -> None:
     encoder.encode(_NOTHING if news is None else _SYMBOL if isinstance(news, int) else _HELLO, _NEWS)
     if isinstance(news, int):
-        encoder.encode_bits(news, _SYMBOL_BITS)
+        encoder.encode_bits(news, SYMBOL_BITS)
     elif news is not None:
         encoder.encode_bits(len(news), _LENGTH_BITS)
         for byte in news:
@@ -112,7 +113,7 @@ def _read_news(decoder: PythonDecoder) -> bytes | int | None:
     kind = decoder.decode(_NEWS)
     if kind == _HELLO:
         return bytes(decoder.decode_bits(8) for _ in range(decoder.decode_bits(_LENGTH_BITS)))
-    return decoder.decode_bits(_SYMBOL_BITS) if kind == _SYMBOL else None
+    return decoder.decode_bits(SYMBOL_BITS) if kind == _SYMBOL else None
 
 
 def read_frames(number: int, payload: bytes, count: int, step_index: int, density: Density) -> list[Frame]:

@@ -23,7 +23,7 @@ from .control import Control
 from .encoder import encode_packet, whole_steps
 from .events import Density
 from .fountain import Basin, Fountain
-from .hello import Hello, digest_of
+from .hello import Hello
 from .model import LiveModel
 from .packets import (
     MOST_REPEATS,
@@ -92,7 +92,7 @@ class Encoder:
         self._setting = write_setting(skeleton, self._scale, self.model, metric, fineness_for(cm))
         self._analysis = Analysis(figure_of(skeleton, self._scale, self._setting), self._scale)
         self._density = Density(self._setting.prior, self.model)
-        self._digest = digest_of(artifact)
+        self._digest = artifact.short_digest
         self._number, self._error_of_off = 0, 1.0
         self._repeats = repeats
         self._told: deque[Frame] = deque(maxlen=repeats)

@@ -23,7 +23,7 @@ _ENDS = 5  # as any of them may be lost; two must arrive, so that no stray datag
 
 
 class StreamEnd(Exception):
-    """No packet follows; `frames` is how many there were, modulo 4096, where that was said."""
+    """No packet follows; `frames` is how many there were, modulo 4050, where that was said."""
 
     def __init__(self, frames: int | None = None):
         super().__init__("the stream has ended")

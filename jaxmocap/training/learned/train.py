@@ -40,6 +40,7 @@ from ...skeleton import Skeleton
 from ..corpus import Corpus
 from ..loop import Stage, State, run
 from ..rigs import fit_rig
+from ..trees import flatten, unflatten
 from . import densities as fit
 from .augmentation import mirror_axis, mirrored
 from .bones import fit_bones
@@ -199,19 +200,19 @@ class Trainer:
         steps = batches * epochs
         density = self._density(state, which)
         if not len(rows.sizes):  # a small corpus may have no levels at all at the steps that were drawn
-            return {**_flatten(density, f"{which}.density"), **_flatten(density, f"{which}.best"), **state}
+            return {**flatten(density, f"{which}.density"), **flatten(density, f"{which}.best"), **state}
         optimiser_state = fit.optimiser(steps).init(eqx.filter(density, eqx.is_array))
         if n:
-            optimiser_state = _unflatten(optimiser_state, state, f"{which}.optimiser")
+            optimiser_state = unflatten(optimiser_state, state, f"{which}.optimiser")
         order = np.random.default_rng([n, *name.encode()]).permutation(len(rows.sizes))
         order = np.resize(order, batches * min(fit.BATCH, len(order))).reshape(batches, -1)
         density, optimiser_state, trained = fit.epoch(density, optimiser_state, rows, jnp.asarray(order), steps)
         held = fit.evaluate(density, held_out)
         curve = np.concatenate([state.get(f"curve.{name}.{which}", np.zeros((0, 2))), [[float(trained), float(held)]]])
-        state = {**state, f"curve.{name}.{which}": curve, **_flatten(optimiser_state, f"{which}.optimiser")}
-        state = {**state, **_flatten(density, f"{which}.density")}
+        state = {**state, f"curve.{name}.{which}": curve, **flatten(optimiser_state, f"{which}.optimiser")}
+        state = {**state, **flatten(density, f"{which}.density")}
         if held <= curve[:, 1].min():
-            state = {**state, **_flatten(density, f"{which}.best")}
+            state = {**state, **flatten(density, f"{which}.best")}
         return state
 
     def _refine(self, metric: Metric, state: State, item: int) -> State:
@@ -222,14 +223,14 @@ class Trainer:
         clips = [self._vectors(state, n)[1:] for n in range(self.items)]
         refinement = self._refinement(state, metric, items * _STEPS_AT_ONCE)
         at = refinement.start()
-        at = _unflatten(at, state, name) if item else at
+        at = unflatten(at, state, name) if item else at
         losses = []
         for n in range(_STEPS_AT_ONCE):
             key = jax.random.key(item * _STEPS_AT_ONCE + n)
             at, metrics = refinement.step(at, draw_batch(clips, _CLIPS, _CROP, key), key)
             losses.append(float(metrics.loss))
         curve = np.append(state.get(f"curve.basis.{metric}", np.zeros(0)), np.mean(losses))
-        state = {**state, f"curve.basis.{metric}": curve, **_flatten(at, name)}
+        state = {**state, f"curve.basis.{metric}": curve, **flatten(at, name)}
         if item < items - 1:
             return state
         basis = refinement.finish(at, clips)
@@ -306,11 +307,11 @@ class Trainer:
     def _density(self, state: State, which: str) -> Density:
         inputs = {"slow": SLOW_INPUTS, "fast": FAST_INPUTS}[which]
         density = Density.init(inputs, HIDDEN, jax.random.key(len(which) + inputs))
-        return _unflatten(density, state, f"{which}.density") if f"{which}.density.0" in state else density
+        return unflatten(density, state, f"{which}.density") if f"{which}.density.0" in state else density
 
     def _densities(self, state: State) -> Densities:
         def best(which: str):
-            return _unflatten(self._density(state, which), state, f"{which}.best").freeze()
+            return unflatten(self._density(state, which), state, f"{which}.best").freeze()
 
         return Densities(best("slow"), best("fast"), logistic_table(), tail_table())
 
@@ -322,15 +323,6 @@ def _spectrum_state(metric: Metric, spectrum: Spectrum) -> State:
 def _rounded(x: np.ndarray, to: type[np.floating]) -> np.ndarray:
     """As the model's file will hold it."""
     return x.astype(to).astype(np.float64)
-
-
-def _flatten(tree, name: str) -> State:
-    return {f"{name}.{n}": np.asarray(leaf) for n, leaf in enumerate(jax.tree.leaves(eqx.filter(tree, eqx.is_array)))}
-
-
-def _unflatten(tree, state: State, name: str):
-    leaves, structure = jax.tree.flatten(tree)
-    return jax.tree.unflatten(structure, [jnp.asarray(state[f"{name}.{n}"]) for n in range(len(leaves))])
 
 
 def _has_sides(skeleton: Skeleton) -> bool:

@@ -27,6 +27,7 @@ from ..learned.bones import fit_bones
 from ..learned.rows import Rows, joined
 from ..learned.train import Trainer
 from ..loop import Stage, State, run
+from ..trees import flatten, unflatten
 from . import network as net
 
 _UPDATES, _AT_ONCE = 80, 25  # of the network: so many times so many steps
@@ -79,7 +80,7 @@ class _LiveTrainer:
         priors: dict[Metric, Prior] = {m: self._prior(state, learner, n) for n, m in enumerate(METRICS)}
         bases: dict[Metric, Basis] = {m: self.poses.basis(state, m) for m in METRICS}
         bones = fit_bones(np.unique(state["bones"], axis=0) * state["unit"][0])
-        packets = _unflatten(_empty_density(), state, "density").freeze()
+        packets = unflatten(_empty_density(), state, "density").freeze()
         trained = np.flatnonzero(state["classes"].sum(1))  # octaves of steps beyond those trained are as the nearest
         seen = state["classes"][trained[np.abs(trained[None] - np.arange(STEPS // OCTAVE)[:, None]).argmin(1)]]
         return LiveModel(
@@ -110,14 +111,14 @@ class _LiveTrainer:
         speed, spread = (jnp.asarray(_stacked(state, name, count), jnp.float32) for name in ("speed", "spread"))
         learner = self._learner(state)
         optimiser_state = net.optimiser(updates * _AT_ONCE).init(eqx.filter(learner, eqx.is_array))
-        optimiser_state = _unflatten(optimiser_state, state, "optimiser") if item else optimiser_state
+        optimiser_state = unflatten(optimiser_state, state, "optimiser") if item else optimiser_state
         losses = []
         for n in range(_AT_ONCE):
             drawn = self._draw(state, count, np.random.default_rng(item * _AT_ONCE + n))
             learner, optimiser_state, loss = net.step(learner, optimiser_state, drawn, speed, spread, updates * _AT_ONCE)
             losses.append(float(loss))
         curve = np.append(state.get("curve.network", np.zeros(0)), np.mean(losses))
-        return {**state, "curve.network": curve, **_flatten(learner, "learner"), **_flatten(optimiser_state, "optimiser")}
+        return {**state, "curve.network": curve, **flatten(learner, "learner"), **flatten(optimiser_state, "optimiser")}
 
     def _draw(self, state: State, count: int, random: np.random.Generator) -> net.Drawn:
         """Crops of files, which come as often as they have frames; short ones hold their last."""
@@ -136,7 +137,7 @@ class _LiveTrainer:
     def _learner(self, state: State) -> net.Learner:
         count = max(len(state[f"speed.{n}"]) for n in range(len(METRICS)))
         learner = net.Learner.init(len(METRICS), count, jax.random.key(0))
-        return _unflatten(learner, state, "learner") if "learner.0" in state else learner
+        return unflatten(learner, state, "learner") if "learner.0" in state else learner
 
     def _prior(self, state: State, learner: net.Learner, basis: int) -> Prior:
         speed, spread = (np.rint(OCTAVE * state[f"{name}.{basis}"]).astype(np.int64) for name in ("speed", "spread"))
@@ -170,15 +171,15 @@ class _LiveTrainer:
             Rows(state[f"packets.{n}.contexts"], state[f"packets.{n}.sizes"]) for n in range(self.poses.items)
         ])  # fmt: skip
         batches = max(len(rows.sizes) // fit.BATCH, 1)
-        density = _unflatten(_empty_density(), state, "density") if item else _empty_density()
+        density = unflatten(_empty_density(), state, "density") if item else _empty_density()
         optimiser_state = fit.optimiser(batches * _EPOCHS).init(eqx.filter(density, eqx.is_array))
-        optimiser_state = _unflatten(optimiser_state, state, "density.optimiser") if item else optimiser_state
+        optimiser_state = unflatten(optimiser_state, state, "density.optimiser") if item else optimiser_state
         order = np.random.default_rng(item).permutation(len(rows.sizes))
         order = np.resize(order, batches * min(fit.BATCH, len(order))).reshape(batches, -1)
         density, optimiser_state, bits = fit.epoch(density, optimiser_state, rows, jnp.asarray(order), batches * _EPOCHS)
         curve = np.append(state.get("curve.packets", np.zeros(0)), float(bits))
-        state = {**state, "curve.packets": curve, **_flatten(density, "density")}
-        return {**state, **_flatten(optimiser_state, "density.optimiser")}
+        state = {**state, "curve.packets": curve, **flatten(density, "density")}
+        return {**state, **flatten(optimiser_state, "density.optimiser")}
 
 
 def _packet_levels(wanted: np.ndarray, prior: Prior, network: FrozenDensity, index: int) -> list[np.ndarray]:
@@ -198,12 +199,3 @@ def _stacked(state: State, name: str, count: int) -> np.ndarray:
 
 def _empty_density() -> Density:
     return Density.init(INPUTS, _HIDDEN, jax.random.key(1))
-
-
-def _flatten(tree, name: str) -> State:
-    return {f"{name}.{n}": np.asarray(leaf) for n, leaf in enumerate(jax.tree.leaves(eqx.filter(tree, eqx.is_array)))}
-
-
-def _unflatten(tree, state: State, name: str):
-    leaves, structure = jax.tree.flatten(tree)
-    return jax.tree.unflatten(structure, [jnp.asarray(state[f"{name}.{n}"]) for n in range(len(leaves))])
